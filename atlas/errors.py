@@ -98,9 +98,9 @@ def message_of(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def check_names(kind: str, given: Iterable[object], valid: Iterable[str]) -> None:
-    """Raise InputError, naming the nearest known name, at the first name of ``given`` that is not in ``valid``."""
-    names = list(valid)
-    for name in given:
-        if not isinstance(name, str) or name not in names:
-            raise InputError(unknown_name(kind, name if isinstance(name, str) else brief_repr(name), names))
+def check_names(kind: str, names: Iterable[object], valid: Iterable[str]) -> None:
+    """Raise InputError, naming the nearest known name, at the first name of ``names`` that is not in ``valid``."""
+    valid_names = list(valid)
+    for name in names:
+        if not isinstance(name, str) or name not in valid_names:
+            raise InputError(unknown_name(kind, name if isinstance(name, str) else brief_repr(name), valid_names))

@@ -115,11 +115,11 @@ class CellTrajectory:
 
 
 def cell_orbit(
-    given: Mapping[str, Any],
+    overrides: Mapping[str, Any],
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
 ) -> CellTrajectory:
-    """Return the trajectory of one cell; ``given`` are the parameters that differ from the defaults.
+    """Return the trajectory of one cell; ``overrides`` are the parameters that differ from the defaults.
 
     All exponents and the section are computed for any ``settings``, with as many samples as the orbit needs. Raise
     InputError for parameters that do not exist or are out of range. Raise it also for a cell without a motion to show:
@@ -128,7 +128,7 @@ def cell_orbit(
     from workers.tile import solve_tile
 
     record = parse_system(system)
-    parameters = validate_parameters(record, given)
+    parameters = validate_parameters(record, overrides)
     settings = given_settings(settings)
     samples = max(SECTION_STATES, settings.section_samples)
     full_settings = replace(settings, exponents="spectrum", section_samples=samples)

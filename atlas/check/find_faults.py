@@ -57,10 +57,10 @@ class VerifyFindings:
     right: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def find_faults(place: StoreBackend, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
+def find_faults(backend: StoreBackend, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
     """Read a whole store, and return all its faults; see ``verify.verify``. Raise InputError if there is no store."""
-    with os_errors_as_input_errors(place, "read"):
-        handle = open_damaged_store(place)
+    with os_errors_as_input_errors(backend, "read"):
+        handle = open_damaged_store(backend)
     return _read(handle, sample, seed, notify)
 
 

@@ -13,12 +13,12 @@ _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial$")
 """End of the name of a file that is being written, by this package or by Zarr."""
 
 
-def leftovers(place: StoreBackend) -> list[str]:
+def leftovers(backend: StoreBackend) -> list[str]:
     """Return the files that killed writes have left in a folder. Nothing reads these files."""
-    if place.local is None:
+    if backend.local is None:
         return []
-    files = (path for path in place.local.rglob("*.partial") if _PARTIAL.search(path.name) and path.is_file())
-    return sorted(path.relative_to(place.local).as_posix() for path in files)
+    files = (path for path in backend.local.rglob("*.partial") if _PARTIAL.search(path.name) and path.is_file())
+    return sorted(path.relative_to(backend.local).as_posix() for path in files)
 
 
 def foreign_keys(handle: AtlasStore) -> Iterator[str]:

@@ -19,17 +19,17 @@ ROUNDING = 1e-9
 """Largest difference of numbers of overviews, relative or absolute: cells on log axes depend on the host."""
 
 
-def open_damaged_store(place: StoreBackend) -> AtlasStore:
+def open_damaged_store(backend: StoreBackend) -> AtlasStore:
     """Return the handle of a store whose root may be lost or wrong, if the group ``spec`` has its attributes.
 
     If both are sound but differ, those attributes are right from which more of the store's objects follow. Raise
     InputError if there is no store.
     """
-    stored = place.get_all([ROOT, SPEC_KEY])
+    stored = backend.get_all([ROOT, SPEC_KEY])
     sound = [attributes for key in (ROOT, SPEC_KEY) if (attributes := unsealed(stored.get(key))) is not None]
-    handles = [handle_by(place, attributes) for attributes in sound if attributes.get("format") == FORMAT]
+    handles = [handle_by(backend, attributes) for attributes in sound if attributes.get("format") == FORMAT]
     if not handles or (len(handles) == 1 and unsealed(stored.get(ROOT)) is not None):
-        return open_store(place)
+        return open_store(backend)
     return handles[0] if handles[0].attributes == handles[-1].attributes else max(handles, key=_count_right)
 
 

@@ -56,7 +56,7 @@ def _checked(
             checks = [(part, level, index, index in complete, index in over) for index in indices]
             unsound = over
             for index, (n_whole, faults) in zip(
-                indices, readers.map(lambda given: _check(*given), checks), strict=True
+                indices, readers.map(lambda arguments: _check(*arguments), checks), strict=True
             ):
                 if faults:
                     unsound.add(index)

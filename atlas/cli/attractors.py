@@ -92,7 +92,7 @@ def measure_attractors(
 @settings_options("observe", "observe_values")
 @json_option
 def stability(
-    given: Numbers,
+    parameters: Numbers,
     system: str,
     norm: Numbers,
     starts: int,
@@ -103,7 +103,7 @@ def stability(
     """Measure the stability of each attractor of one cell: basin stability, return time, reactivity and more."""
     from atlas.robustness.cell_stability import stability as measure
 
-    record, pairs, settings = resolve_cell(given, system, solve)
+    record, pairs, settings = resolve_cell(parameters, system, solve)
     weights = validate_weights(norm, record)
     with show_solving(record, ATTRACTORS):
         measures = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
@@ -124,7 +124,7 @@ def stability(
 @settings_options("observe", "observe_values")
 @json_option
 def saddles(
-    given: Numbers,
+    parameters: Numbers,
     system: str,
     norm: Numbers,
     starts: int,
@@ -137,7 +137,7 @@ def saddles(
     """
     from atlas.robustness.saddles import saddles as find_saddles
 
-    record, pairs, settings = resolve_cell(given, system, solve)
+    record, pairs, settings = resolve_cell(parameters, system, solve)
     weights = validate_weights(norm, record)
     with show_solving(record, ATTRACTORS):
         results = find_saddles(pairs, system=record, settings=settings, starts=starts, norm=weights)

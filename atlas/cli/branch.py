@@ -90,7 +90,7 @@ def branch(
     along: str,
     low: float,
     high: float,
-    given: Numbers,
+    parameters: Numbers,
     point: Numbers,
     select: Numbers,
     system: str,
@@ -113,7 +113,7 @@ def branch(
     look = {name: options.pop(name) for name in SCALE_OPTION_NAMES if name in options}
     PictureRequest.from_arguments(**look)  # before the branch is followed
     with input_errors(), reporter(sys.stderr) as show:
-        seed = _seed(show, store, given, point, select, system, options)
+        seed = _seed(show, store, parameters, point, select, system, options)
         observable = observed_of(seed, observe)
         if observable is not None:
             prepare_kernels(show, *kernels_for(seed.system, OBSERVED))
@@ -150,7 +150,7 @@ def summary(branches: BranchTable) -> dict[str, Any]:
 def _seed(
     show: Callable[[Progress], None],
     store: str | None,
-    given: Numbers,
+    parameters: Numbers,
     point: Numbers,
     select: Numbers,
     system: str,
@@ -159,7 +159,7 @@ def _seed(
     """Return the orbit of the requested cell."""
     check_cell_options(store)
     if store is None:
-        record, pairs, settings = resolve_cell(given, system, options)
+        record, pairs, settings = resolve_cell(parameters, system, options)
         prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)

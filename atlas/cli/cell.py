@@ -46,14 +46,14 @@ from workers.attractors.initial_states import AttractorSettings
 @starts_option
 @settings_options()
 @json_option
-def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
+def point(parameters: Numbers, system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
     """Solve one cell and print all its results, or with --attractors all its attractors."""
     from atlas.cell.point import point as solve_point
     from atlas.robustness.attractors import attractors
 
     if starts != AttractorSettings.count and not every:
         raise InputError("--starts needs --attractors; without --attractors one initial state is solved")
-    record, pairs, settings = resolve_cell(given, system, solve)
+    record, pairs, settings = resolve_cell(parameters, system, solve)
     with show_solving(record, *((ATTRACTORS,) if every else ()), settings=settings):
         if every:
             results = attractors(pairs, system=record, settings=settings, starts=starts)
@@ -82,7 +82,7 @@ def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, 
 @settings_options("exponents", "section_samples")
 def portrait(
     store: str | None,
-    given: Numbers,
+    parameters: Numbers,
     point: Numbers,
     select: Numbers,
     system: str,
@@ -104,7 +104,7 @@ def portrait(
     PictureRequest.from_arguments(**look)  # before the cell is solved
     with input_errors(), reporter(sys.stderr) as show:
         if store is None:
-            cell = CellSpec(*resolve_cell(given, system, options))
+            cell = CellSpec(*resolve_cell(parameters, system, options))
         else:
             cell = read_cell_spec(open_selection(store, select), point)
         prepare_kernels(show, *kernels_for(cell.system, PATHS, settings=cell.settings))

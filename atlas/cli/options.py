@@ -87,8 +87,8 @@ def pairs_option(
     dest     parameter of the command, by default from the name
     """
 
-    def callback(ctx: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
-        return read_pairs(name, given, read)
+    def callback(ctx: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, Any]:
+        return read_pairs(name, pairs, read)
 
     return click.option(name, *dest, metavar=metavar, multiple=True, callback=callback, help=words)
 
@@ -109,11 +109,11 @@ def storage_words() -> list[str]:
     return words
 
 
-def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> None:
+def _reach(ctx: click.Context, _: click.Parameter, pairs: tuple[str, ...]) -> None:
     """Set the storage options of this command's URLs."""
-    ctx.meta[_STORAGE] = given
-    if given:
-        ctx.with_resource(default_storage_options(read_pairs("--storage-option", given, lambda _, value: value)))
+    ctx.meta[_STORAGE] = pairs
+    if pairs:
+        ctx.with_resource(default_storage_options(read_pairs("--storage-option", pairs, lambda _, value: value)))
 
 
 def storage_option(command: Callable[..., None]) -> Callable[..., None]:
@@ -132,12 +132,12 @@ def storage_option(command: Callable[..., None]) -> Callable[..., None]:
         help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
     )
     @wraps(command)
-    def whole(*args: Any, **given: Any) -> None:
+    def whole(*args: Any, **arguments: Any) -> None:
         source = click.get_current_context().get_parameter_source("storage_option")
-        names = [name for value in given.values() for name in (value if isinstance(value, tuple) else (value,))]
+        names = [name for value in arguments.values() for name in (value if isinstance(value, tuple) else (value,))]
         if source is ParameterSource.COMMANDLINE and not any(is_url(n) and not n.startswith("file:") for n in names):
             raise InputError("--storage-option: sets the access of a store at a URL, found no URL of a server")
-        command(*args, **given)
+        command(*args, **arguments)
 
     return whole
 
@@ -216,7 +216,7 @@ def check_cell_options(store: str | None) -> None:
     """Raise InputError for an option of the current command that contradicts a cell of a STORE, or needs one."""
     context = click.get_current_context()
     settings = {field.name for field in fields(Settings)}
-    wrong = {"point", "select"} if store is None else {"given", "system"} | settings
+    wrong = {"point", "select"} if store is None else {"parameters", "system"} | settings
     for option in options_given(context):
         if option.name in wrong and store is None:
             raise InputError(f"{option.opts[-1]} needs a STORE; to give parameters without a store use --set")
@@ -232,14 +232,14 @@ def options_given(context: click.Context) -> Iterator[click.Parameter]:
             yield option
 
 
-def resolve_cell(given: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
+def resolve_cell(parameters: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
     """Return the system, the checked parameters and the settings of a cell that is given on the command line."""
     settings, record = parse_settings(solve), parse_system(system)
-    validate_parameters(record, given)
-    return record, given, observable_settings(settings, record)
+    validate_parameters(record, parameters)
+    return record, parameters, observable_settings(settings, record)
 
 
-def open_selection(store: str, place: Mapping[str, float]) -> "xr.Dataset":
+def open_selection(store: str, selection: Mapping[str, float]) -> "xr.Dataset":
     """Return the atlas of a STORE at these values of some axes.
 
     For a value between two cells, the nearest cell is printed.
@@ -247,8 +247,8 @@ def open_selection(store: str, place: Mapping[str, float]) -> "xr.Dataset":
     from atlas.query.open import open_atlas
     from atlas.query.window import select
 
-    ds = select(open_atlas(store), place)
-    for name, value in place.items():
+    ds = select(open_atlas(store), selection)
+    for name, value in selection.items():
         if name in ds.coords and not math.isclose(nearest := float(ds[name]), value, rel_tol=1e-9):
             print_status(f"{name} = {nearest:.10g}, the nearest to {value:.10g}")
     return ds
@@ -276,9 +276,11 @@ def worker_options(command: Callable[..., None]) -> Callable[..., None]:
     @dashboard_option
     @click.pass_context
     @wraps(command)
-    def whole(ctx: click.Context, /, scheduler: str | None, workers: int | None, dashboard: bool, **given: Any) -> None:
+    def whole(
+        ctx: click.Context, /, scheduler: str | None, workers: int | None, dashboard: bool, **arguments: Any
+    ) -> None:
         check_workers(scheduler, workers)
-        command(ctx, options=RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx)), **given)
+        command(ctx, options=RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx)), **arguments)
 
     return whole
 
@@ -334,13 +336,13 @@ def input_errors() -> Iterator[None]:
         raise InputError(str(error)) from None
 
 
-def read_pairs(option: str, given: tuple[str, ...], read: Callable[[str, str], _T]) -> dict[str, _T]:
+def read_pairs(option: str, pairs: tuple[str, ...], read: Callable[[str, str], _T]) -> dict[str, _T]:
     """Return the values of an option given as NAME=VALUE, by name.
 
     ``read`` is called with the place of a value, for messages, and its text.
     """
     values: dict[str, _T] = {}
-    for item in given:
+    for item in pairs:
         name, equals, value = item.partition("=")
         if not equals:
             raise InputError(f"{option} {item}: must be NAME=VALUE")
@@ -358,11 +360,11 @@ def read_number(where: str, value: str) -> float:
         raise InputError(f"{where}: found {brief_repr(value)}, must be a number") from None
 
 
-def read_factors(given: tuple[str, ...]) -> int | dict[str, int]:
+def read_factors(factors: tuple[str, ...]) -> int | dict[str, int]:
     """Return one factor for all axes, or factors by name."""
-    if len(given) == 1 and "=" not in given[0]:
-        return read_whole("--refine", given[0])
-    return read_pairs("--refine", given, read_whole)
+    if len(factors) == 1 and "=" not in factors[0]:
+        return read_whole("--refine", factors[0])
+    return read_pairs("--refine", factors, read_whole)
 
 
 def read_whole(where: str, value: str) -> int:
@@ -387,7 +389,9 @@ def read_bounds(where: str, value: str) -> tuple[float, float]:
 at_option = pairs_option(
     "--at", "NAME=VALUE", "With STORE: its cell nearest to a point; one value for each axis.", read_number, "point"
 )
-set_option = pairs_option("--set", "NAME=VALUE", "A parameter that differs from its default.", read_number, "given")
+set_option = pairs_option(
+    "--set", "NAME=VALUE", "A parameter that differs from its default.", read_number, "parameters"
+)
 select_option = pairs_option(
     "--select", "NAME=VALUE", "The plane of a stack, or the line of cells, nearest to VALUE.", read_number
 )

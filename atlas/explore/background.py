@@ -36,7 +36,7 @@ class BackgroundTasks:
 
     def deferred_call(self, callback: Callable[..., None]) -> Callable[..., None]:
         """Return a function for other threads that calls ``callback`` with its arguments in the document's thread."""
-        return lambda *given: self.call_in_document(partial(callback, *given))
+        return lambda *arguments: self.call_in_document(partial(callback, *arguments))
 
     def _show(self, callback: Show) -> None:
         # Bokeh empties a document some time before it reports the end of its session, both in this thread.

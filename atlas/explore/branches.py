@@ -133,8 +133,8 @@ class FollowedBranch:
     def _all(self, value: float) -> dict[str, float]:
         return {**self.table.parameters, self.table.along: value}
 
-    def position_at(self, place: int, value: float) -> BranchPosition:
-        """Return the orbit at a value between point ``place`` and the next, by Newton's method.
+    def position_at(self, index: int, value: float) -> BranchPosition:
+        """Return the orbit at a value between point ``index`` and the next, by Newton's method.
 
         Return the orbit of the point if the method finds none or the value does not lie between the points.
         """
@@ -143,16 +143,16 @@ class FollowedBranch:
         from workers.continuation.floquet import multipliers
         from workers.continuation.itinerary import many_orbits
 
-        place = min(max(place, 0), len(self.values) - 1)
-        shares = [share for k, share in self.branch.crossings(value) if k == place and 0.0 < share < 1.0]
+        index = min(max(index, 0), len(self.values) - 1)
+        shares = [share for k, share in self.branch.crossings(value) if k == index and 0.0 < share < 1.0]
         with suppress(ValueError):
             for share in shares:
-                orbit, at = self.branch.orbit_after(self._family, place, share, value), np.array([value])
+                orbit, at = self.branch.orbit_after(self._family, index, share, value), np.array([value])
                 modes = multipliers(motion_of(self._family.model(at[None]), many_orbits([orbit])))[0]
                 point = SolutionPoint(at, orbit, np.zeros(0), modes, int(np.sum(np.abs(modes) > 1.0)))
-                return BranchPosition(place, value, point)
-        kind = next((mark.kind for mark in self.events if mark.point_index == place), "")
-        return BranchPosition(place, self.values[place], self.branch.run.points[place], kind)
+                return BranchPosition(index, value, point)
+        kind = next((mark.kind for mark in self.events if mark.point_index == index), "")
+        return BranchPosition(index, self.values[index], self.branch.run.points[index], kind)
 
     def find_point(self, value: float, here: BranchPosition) -> int | None:
         """Return the index of the point at or after which the branch has a value, nearest along it; None if there is
@@ -298,10 +298,10 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
     return FollowedBranch(BranchTable.from_tree(tree), index)
 
 
-def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":
+def _with_part(whole: "Branch", own: int, part: "Branch", part_index: int, window: Range) -> "tuple[Branch, int]":
     """Return a branch with its part around a point replaced by the finer ``part``, and the point's new index."""
     if "closed" in whole.run.ends + part.run.ends:
-        return (part, place) if "closed" in part.run.ends else (whole, own)
+        return (part, part_index) if "closed" in part.run.ends else (whole, own)
     outside, last = np.flatnonzero((whole.values < window[0]) | (whole.values > window[1])), len(whole.values)
     before, after = outside[outside < own], outside[outside > own]
     # If the part ends within its window, the branch ends there, too.
@@ -321,4 +321,4 @@ def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Ra
     mirrored = [branch.mirrored[piece] for branch, piece in pieces if branch.mirrored is not None]
     return replace(
         part, run=run, sections=sections, mirrored=np.concatenate(mirrored) if mirrored else None
-    ), first + place
+    ), first + part_index

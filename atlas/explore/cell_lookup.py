@@ -108,7 +108,7 @@ class CellLookup:
         self,
         plane: PlaneParameters,
         arrays: Arrays,
-        place: tuple[int, ...],
+        index: tuple[int, ...],
         at: tuple[float, float],
         point: tuple[float, float],
     ) -> CellResult:
@@ -116,15 +116,15 @@ class CellLookup:
 
         plane    plane of the cell
         arrays   results of the cells, by name
-        place    index of the cell in the arrays
+        index    index of the cell in the arrays
         at       the cell's values of the axes
         point    the point to which the cell is nearest
         """
         subject, (x, y) = self.subject, at
         results: dict[str, Any] = dict(zip(subject.axes, at, strict=True))
         results["distance"] = dict(zip(subject.axes, (abs(x - point[0]), abs(y - point[1])), strict=True))
-        results |= in_words({variable.name: arrays[variable.name][place] for variable in (REGIME, REASON)})
-        results |= {name: arrays[name][place].item() for name in subject.numbers}
+        results |= in_words({variable.name: arrays[variable.name][index] for variable in (REGIME, REASON)})
+        results |= {name: arrays[name][index].item() for name in subject.numbers}
         return CellResult(subject.values(plane, x, y), results, of_atlas=False)
 
 

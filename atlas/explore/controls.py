@@ -121,10 +121,10 @@ class Controls:
         return widgets
 
 
-def _with(axes: tuple[str, str], place: int, name: str) -> tuple[str, str]:
-    """Return the axes with ``name`` at index ``place``; if the other axis has the name, the axes are swapped."""
-    other = axes[place] if axes[1 - place] == name else axes[1 - place]
-    return (name, other) if place == 0 else (other, name)
+def _with(axes: tuple[str, str], index: int, name: str) -> tuple[str, str]:
+    """Return the axes with ``name`` at ``index``; if the other axis has the name, the axes are swapped."""
+    other = axes[index] if axes[1 - index] == name else axes[1 - index]
+    return (name, other) if index == 0 else (other, name)
 
 
 def heading(text: str) -> Div:

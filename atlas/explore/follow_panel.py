@@ -238,10 +238,10 @@ class _FollowControls:
         self.motion.show(motion)
         return position
 
-    def _go(self, place: int, value: float) -> None:
+    def _go(self, index: int, value: float) -> None:
         now = self._store.now.view.follow
         if now is not None:
-            self._store.choose(follow=now._replace(step=place - self.branch.own_index, value=value))
+            self._store.choose(follow=now._replace(step=index - self.branch.own_index, value=value))
 
     def _slide(self, attribute: str, old: Any, new: Any) -> None:
         """Go to the point of the slider."""

@@ -189,9 +189,9 @@ class ExplorerPage:
         query = place_query(self._home.subject, turned, new_view)
         self._opened.data = {"place": [query], "overlays": [overlays(turned)]}
 
-    def _resized(self, place: int, attribute: str, old: Any, new: Any) -> None:
+    def _resized(self, dimension: int, attribute: str, old: Any, new: Any) -> None:
         width, height = self._store.now.size
-        self._store.set(size=(int(new or 0), height) if place == 0 else (width, int(new or 0)))
+        self._store.set(size=(int(new or 0), height) if dimension == 0 else (width, int(new or 0)))
 
     def _window_changed(self, event: RangesUpdate) -> None:
         ends = (event.x0, event.x1, event.y0, event.y1)

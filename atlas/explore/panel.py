@@ -82,7 +82,7 @@ class Panel(Generic[A]):
     def _current(self, callback: Callable[..., None]) -> Callable[..., None]:
         """Return ``callback`` for the document's thread, without effect once the panel has changed its topic."""
         turns = self._turns
-        return lambda *given: callback(*given) if turns == self._turns else None
+        return lambda *arguments: callback(*arguments) if turns == self._turns else None
 
 
 def _do(show: Show) -> None:

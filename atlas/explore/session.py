@@ -82,7 +82,7 @@ class ExplorerSession:
 
 
 def explore(
-    given: "str | AtlasStore | Subject",
+    source: "str | AtlasStore | Subject",
     view: Mapping[str, float] | None = None,
     *,
     client: "Client | None" = None,
@@ -98,7 +98,7 @@ def explore(
 ) -> ExplorerSession:
     """Start an explorer of a store or a spec, and return its session; its pages are at ``ExplorerSession.url``.
 
-    given        store, spec by file or name, handle of a store, or subject
+    source       store, spec by file or name, handle of a store, or subject
     view         value of the stack axis that selects a plane of a stack; by default the first plane
     client       Dask client to use; it is not closed
     scheduler    address of a Dask scheduler to connect to
@@ -123,7 +123,7 @@ def explore(
         raise InputError(f"workers: found {workers!r}, must be 1 or more")
     if not 0 < tolerance < math.inf:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
-    subject = given if isinstance(given, Subject) else subject_of(given, view, tolerance)
+    subject = source if isinstance(source, Subject) else subject_of(source, view, tolerance)
     for free in listening(port, host):  # before kernels are compiled, which takes long
         free.close()
     if prepare is not None:

@@ -277,22 +277,22 @@ class Subject:
 
 
 def subject_of(
-    given: str | AtlasStore, view: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
+    source: str | AtlasStore, view: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
 ) -> Subject:
     """Return the subject that a user names.
 
-    given       a store, a spec by file or name, or the handle of a store
+    source      a store, a spec by file or name, or the handle of a store
     view        value of the stack axis that selects a plane of a stack; by default the first plane
     tolerance   least tolerance of explored cells
 
     Raise InputError if there is no plane to explore.
     """
-    if isinstance(given, AtlasStore):
-        return _subject(given.spec, given, open_atlas(given), view or {}, tolerance)
-    backend = None if given.endswith(".toml") else open_backend(given)
-    if backend is not None and (backend.exists("zarr.json") or is_url(given) or backend.local is None):
+    if isinstance(source, AtlasStore):
+        return _subject(source.spec, source, open_atlas(source), view or {}, tolerance)
+    backend = None if source.endswith(".toml") else open_backend(source)
+    if backend is not None and (backend.exists("zarr.json") or is_url(source) or backend.local is None):
         return subject_of(open_store(backend), view, tolerance)
-    return _subject(Spec.from_toml(given), None, None, view or {}, tolerance)
+    return _subject(Spec.from_toml(source), None, None, view or {}, tolerance)
 
 
 def _subject(

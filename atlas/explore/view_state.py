@@ -288,12 +288,12 @@ def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[st
     return {name: _number(name, value)} if name in ("vmin", "vmax") else {}
 
 
-def _possible(name: str, given: Sequence[str], possible: Sequence[str]) -> tuple[str, ...]:
+def _possible(name: str, values: Sequence[str], possible: Sequence[str]) -> tuple[str, ...]:
     """Return the values of an argument. Raise InputError unless all are possible."""
-    unknown = [word for word in given if word not in possible]
+    unknown = [word for word in values if word not in possible]
     if unknown:
         raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(possible)}")
-    return tuple(given)
+    return tuple(values)
 
 
 def _number(name: str, value: str) -> float:

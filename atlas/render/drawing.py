@@ -135,7 +135,7 @@ def _drawn(subject: "Subject", request: PictureRequest, titles: Sequence[str]) -
         page.check_no_limits("a portrait")
         drawn = portrait_figure.figure(subject, page)
     elif isinstance(subject, Comparison | Sequence) and not isinstance(subject, str | bytes):
-        if page.given:
+        if page.axes:
             raise InputError("ax: several maps need a figure of their own; to use ax, draw the maps one by one")
         atlases = [validate_atlas(source, "atlases") for source in _sources(subject, request)]
         if titles and len(titles) != len(atlases):
@@ -185,7 +185,7 @@ def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
     with count_chunk_reads() as reads:
         drawn = draw(kind, part, request)
     if max(reads.block) > 1 and page.title:
-        _note_coarseness(page.given[0] if page.given else drawn.axes[0], part, reads.block, page)
+        _note_coarseness(page.axes[0] if page.axes else drawn.axes[0], part, reads.block, page)
     return drawn
 
 
@@ -204,7 +204,7 @@ def _of_stack(ds: "xr.Dataset", request: PictureRequest) -> "Figure":
         raise InputError(f"a stack of {count} planes: at most {MAX_PANELS} are drawn together; pick one by {first}")
     alone = {
         "overlay": request.overlays, "curves": request.curves is not None, "against": request.against is not None,
-        "ax": page.given, "variable": request.variable, "log": request.log, "observe": request.observe,
+        "ax": page.axes, "variable": request.variable, "log": request.log, "observe": request.observe,
     }  # fmt: skip
     for option in [option for option, is_given in alone.items() if is_given]:
         raise InputError(f"{option}: goes with one plane, found a stack of {count}; pick one by {first}")

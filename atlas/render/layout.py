@@ -73,7 +73,7 @@ class FigureLayout:
     title      True if the figure has a title
     explained  True if the figure has a legend
     rc         settings of Matplotlib
-    given      axes to draw into, in place of a new figure
+    axes       axes to draw into, in place of a new figure
     """
 
     width: float = WIDTH
@@ -85,7 +85,7 @@ class FigureLayout:
     title: bool = True
     explained: bool = True
     rc: Mapping[str, Any] = field(default_factory=dict)
-    given: tuple[Axes, ...] = ()
+    axes: tuple[Axes, ...] = ()
 
     @property
     def scale(self) -> float:
@@ -116,15 +116,15 @@ class FigureLayout:
 
     def plot_size(self, height: float) -> tuple[float, float]:
         """Return the nominal width and height of the plot in points, before the figure is laid out."""
-        if self.given:
-            extent, dots = self.given[0].get_window_extent(), _root(self.given[0]).dpi
+        if self.axes:
+            extent, dots = self.axes[0].get_window_extent(), _root(self.axes[0]).dpi
             return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
         return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
 
     def context(self) -> AbstractContextManager[None]:
         """Return a context with Matplotlib's settings for this layout, which are restored at the end."""
         settings: Any = rc_params(self.scale)
-        if self.given:  # given axes have a type size already
+        if self.axes:  # given axes have a type size already
             settings = {name: settings[name] for name in _OURS}
         else:
             settings = defaults() | settings | {"savefig.dpi": self.dpi}
@@ -143,12 +143,12 @@ class FigureLayout:
 
         Raise InputError for another number of given axes.
         """
-        if self.given and len(self.given) != count:
-            raise InputError(f"ax: found {len(self.given)} axes, must be {count}, one for each plot")
-        drawn = _root(self.given[0]) if self.given else self.figure(height)
-        if self.given and self.explained:
+        if self.axes and len(self.axes) != count:
+            raise InputError(f"ax: found {len(self.axes)} axes, must be {count}, one for each plot")
+        drawn = _root(self.axes[0]) if self.axes else self.figure(height)
+        if self.axes and self.explained:
             _make_room(drawn)
-        plots = list(self.given or drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+        plots = list(self.axes or drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
         if self.title:
             plots[0].set_title(title, loc="left", gid=TITLE)
         return drawn, plots
@@ -183,14 +183,14 @@ class FigureLayout:
         """
         if not (entries and self.explained):
             return
-        aside = beside is not None and (self.has_side_legend or bool(self.given))
+        aside = beside is not None and (self.has_side_legend or bool(self.axes))
         if beside:
             style |= {"title": beside if aside else beside.replace("\n", " "), "alignment": "left"}
         if aside:
             drawn_legend = self._one_legend(fig, entries, True, {"labelspacing": 0.45, **style})
             self._grow(fig, drawn_legend.get_window_extent().height - fig.bbox.height + 0.1 * fig.dpi)
             return
-        room = self.given[-1].get_window_extent().width if self.given else fig.bbox.width
+        room = self.axes[-1].get_window_extent().width if self.axes else fig.bbox.width
         for columns in range(len(entries), 0, -1):
             rows = -(-len(entries) // columns)
             if columns > 1 and -(-len(entries) // rows) != columns:
@@ -203,9 +203,9 @@ class FigureLayout:
             drawn_legend.remove()
 
     def _one_legend(self, fig: Figure, entries: Sequence[Artist], aside: bool, style: dict[str, Any]) -> Legend:
-        host: Any = fig if not self.given else self.given[0 if aside else -1]
+        host: Any = fig if not self.axes else self.axes[0 if aside else -1]
         location: dict[str, Any]
-        if not self.given:
+        if not self.axes:
             location = (
                 {"loc": "outside right upper"} if aside else {"loc": "outside lower center", "columnspacing": 1.4}
             )
@@ -218,12 +218,12 @@ class FigureLayout:
         return legend
 
     def _grow(self, fig: Figure, dots: float) -> None:
-        if dots > 0.0 and not self.given and self.height is None:
+        if dots > 0.0 and not self.axes and self.height is None:
             fig.set_size_inches(self.width, fig.get_size_inches()[1] + dots / fig.dpi)
 
     def wrap_texts(self, fig: Figure) -> None:
         """Break labels and titles that are longer than the figure into lines, except in given axes."""
-        if not self.given:
+        if not self.axes:
             with self.context():
                 wrap_texts(fig)
 
@@ -285,7 +285,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
         title=validate_flag("title", style.get("title", True)),
         explained=validate_flag("legend", style.get("legend", True)),
         rc=rc,
-        given=axes,
+        axes=axes,
     )
 
 

@@ -154,19 +154,19 @@ class Lease:
         if self._record.cancelled:
             raise RunError("stopped by atlas cancel; finished tiles are kept, rerun the same command to resume")
 
-    def bind(self, place: StoreBackend) -> StoreBackend:
+    def bind(self, backend: StoreBackend) -> StoreBackend:
         """Return the backend whose commits confirm this lease: it is checked, and its token is read.
 
         The read is needed because a process that was suspended does not know yet that its lease was taken over.
         """
         lost = "lease lost: another run has taken over the store; finished tiles are kept"
-        look = lease_confirmation(place, self.token, RunError, lost)
+        look = lease_confirmation(backend, self.token, RunError, lost)
 
         def confirm() -> None:
             self.check()
             look()
 
-        return place.with_lease(confirm)
+        return backend.with_lease(confirm)
 
     def release(self) -> None:
         """Stop the heartbeats, and remove the lease if it is still that of this run."""

@@ -217,15 +217,15 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     return Plan(spec, Tiling(spec.shape, tile_shape), count)
 
 
-def plan_of_run(spec: Spec, place: StoreBackend, handle: AtlasStore | None, workers: int, tile: Index | None) -> Plan:
-    """Return the plan of a run that creates the store at ``place``, or completes the store of ``handle``.
+def plan_of_run(spec: Spec, backend: StoreBackend, handle: AtlasStore | None, workers: int, tile: Index | None) -> Plan:
+    """Return the plan of a run that creates the store of ``backend``, or completes the store of ``handle``.
 
     Raise InputError if a new store cannot be created, if its disk is too small, or if ``tile`` is not the index of a
     tile.
     """
     plan = make_plan(spec, workers, None if handle is None else handle.tile)
-    if handle is None and place.local is not None:
-        check_free_space(plan, place.local)
+    if handle is None and backend.local is not None:
+        check_free_space(plan, backend.local)
     grid = plan.tiling.grid
     if tile is not None and not (len(tile) == len(grid) and all(0 <= i < n for i, n in zip(tile, grid, strict=True))):
         index_text, most = brief_repr(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)

@@ -81,7 +81,7 @@ def run(
 
 def complete(
     spec: Spec,
-    place: StoreBackend,
+    backend: StoreBackend,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
     origin: Origin | None = None,
@@ -93,31 +93,31 @@ def complete(
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
-        handle = find_store(place)  # reads only, so that bad input leaves no trace
-        check_run(place, spec, handle, origin)
+        handle = find_store(backend)  # reads only, so that bad input leaves no trace
+        check_run(backend, spec, handle, origin)
         client = connect_client(client, options, stack)
         workers = worker_count(client, options)
-        plan = plan_of_run(spec, place, handle, workers, options.tile)
-        claim = stack.enter_context(hold_store_lease(place, options))
-        place = claim.bind(with_patience(place, options.patience))
+        plan = plan_of_run(spec, backend, handle, workers, options.tile)
+        claim = stack.enter_context(hold_store_lease(backend, options))
+        backend = claim.bind(with_patience(backend, options.patience))
         before = handle  # before the lease another run may have created or replaced the store
-        handle = find_store(place) if before is None else before.with_backend(place).current()
+        handle = find_store(backend) if before is None else before.with_backend(backend).current()
         if handle is None or before is None or handle.run_id != before.run_id:
-            check_run(place, spec, handle, origin)
+            check_run(backend, spec, handle, origin)
         if handle is None:
             options.report(Progress("creating the store"))
-            handle = create_store(place, spec, plan.tiling.tile, origin)
+            handle = create_store(backend, spec, plan.tiling.tile, origin)
         kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
         pool = WorkerPool(handle, execute_job, kernels, options, claim, stack, workers, client, memory)
         run = _Run(handle, pool, replace(plan, tiling=handle.tiling))
         if options.tile is not None:
             run.do_alone(options.tile)
-            return run.totals.summary(str(place))
+            return run.totals.summary(str(backend))
         run.begin()
         if run.needs_workers or (client is not None and run.overviews):
             run.hand_out()
         run.finish()
-    return run.totals.summary(str(place))
+    return run.totals.summary(str(backend))
 
 
 class _Run:

@@ -186,14 +186,14 @@ def open_store_call(
 
 
 @contextmanager
-def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease]:
+def hold_store_lease(backend: StoreBackend, options: RunOptions) -> Iterator[Lease]:
     """Hold the lease of a store within the block.
 
     Partial stores left by killed runs are removed at the start, and the sidecar files of this run at the end. A single
     heartbeat waits only as long as the backend does. The run as a whole waits ``options.patience`` seconds for the
     store; meanwhile every commit still confirms the lease.
     """
-    notes = sidecar_of(with_patience(place, options.patience))
+    notes = sidecar_of(with_patience(backend, options.patience))
 
     def say(text: str) -> None:
         options.report(Progress(text))
@@ -202,10 +202,10 @@ def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease
         if read_lease_token(notes) == claim.token:  # else the sidecar belongs to another run
             clear_sidecar(notes, (key for key in notes.list_keys() if key != LEASE_NAME))
 
-    patience = options.patience if place.local is None else 0.0
-    with hold_lease(sidecar_of(place), str(place), say, options.timing, patience) as claim:
-        if place.local is not None:
-            remove_half_made(place.local)
+    patience = options.patience if backend.local is None else 0.0
+    with hold_lease(sidecar_of(backend), str(backend), say, options.timing, patience) as claim:
+        if backend.local is not None:
+            remove_half_made(backend.local)
         try:
             yield claim
         except Exception:

@@ -15,14 +15,14 @@ MOST_COST = 2**31 - 1
 """Largest cost of a cell in forcing periods, by the width of ``periods_used``."""
 
 
-def parse_attractors(given: object, system: System, settings: Settings) -> AttractorSettings | None:
+def parse_attractors(attractors: object, system: System, settings: Settings) -> AttractorSettings | None:
     """Return the initial states of a table; None if there is no table.
 
     Raise InputError, naming the key, for a wrong table.
     """
-    if given is None:
+    if attractors is None:
         return None
-    table: object = attractors_to_json(given) if isinstance(given, AttractorSettings) else given
+    table: object = attractors_to_json(attractors) if isinstance(attractors, AttractorSettings) else attractors
     if not isinstance(table, Mapping):
         raise InputError(f"attractors: found {brief_repr(table)}, must be a table")
     check_names("key in attractors", table, KEYS)

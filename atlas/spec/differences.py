@@ -7,33 +7,33 @@ from atlas.spec.spec import Spec
 from workers.model.system import identity
 
 
-def differences(stored: Spec, given: Spec) -> list[str]:
+def differences(stored: Spec, spec: Spec) -> list[str]:
     """Return the differences of two specs, a short line for each."""
     texts = []
-    if stored.system != given.system:
-        texts.append(f"system {stored.system} in the store, {given.system} in the spec")
-    elif identity(stored.system_def.to_resolved()) != identity(given.system_def.to_resolved()):
-        texts.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, given)}")
-    names, given_names = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
-    if stored.points or given.points:
-        texts += describe_difference(stored.points, given.points)
-    elif names != given_names:
-        what = "axis order differs" if sorted(names) == sorted(given_names) else "axes differ"
-        texts.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(given_names)}) in the spec")
+    if stored.system != spec.system:
+        texts.append(f"system {stored.system} in the store, {spec.system} in the spec")
+    elif identity(stored.system_def.to_resolved()) != identity(spec.system_def.to_resolved()):
+        texts.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, spec)}")
+    names, spec_names = [axis.name for axis in stored.axes], [axis.name for axis in spec.axes]
+    if stored.points or spec.points:
+        texts += describe_difference(stored.points, spec.points)
+    elif names != spec_names:
+        what = "axis order differs" if sorted(names) == sorted(spec_names) else "axes differ"
+        texts.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(spec_names)}) in the spec")
     else:
-        pairs = zip(stored.axes, given.axes, strict=True)
+        pairs = zip(stored.axes, spec.axes, strict=True)
         texts += [
             f"axis {old} in the store, {new} in the spec"
             for old, new in pairs
             if (old.values, old.continuation) != (new.values, new.continuation)
         ]
-    if (stored.attractors is None) != (given.attractors is None):
+    if (stored.attractors is None) != (spec.attractors is None):
         one, all_of_them = ("store", "spec") if stored.attractors is None else ("spec", "store")
         texts.append(f"one attractor for each cell in the {one}, all attractors in the {all_of_them}")
     for before, after in (
-        (stored.parameters, given.parameters),
-        (asdict(stored.settings), asdict(given.settings)),
-        (stored.to_resolved().get("attractors", {}), given.to_resolved().get("attractors", {})),
+        (stored.parameters, spec.parameters),
+        (asdict(stored.settings), asdict(spec.settings)),
+        (stored.to_resolved().get("attractors", {}), spec.to_resolved().get("attractors", {})),
     ):
         common = before.keys() & after.keys()
         texts += [
@@ -44,9 +44,9 @@ def differences(stored: Spec, given: Spec) -> list[str]:
     return texts
 
 
-def _defined_otherwise(stored: Spec, given: Spec) -> str:
+def _defined_otherwise(stored: Spec, spec: Spec) -> str:
     """Return the entries that differ between two systems of the same name, as text."""
-    if stored.system_def.packaged or given.system_def.packaged:
+    if stored.system_def.packaged or spec.system_def.packaged:
         return "only one of the two is in the package"
-    one, other = (identity(spec.system_def.to_resolved())["system"] for spec in (stored, given))
+    one, other = (identity(one_spec.system_def.to_resolved())["system"] for one_spec in (stored, spec))
     return ", ".join(key for key in one | other if one.get(key) != other.get(key))

@@ -17,20 +17,20 @@ Two ways to space points differ that much.
 """
 
 
-def extend_spec(stored: Spec, given: Spec, name: str) -> Spec:
+def extend_spec(stored: Spec, spec: Spec, name: str) -> Spec:
     """Return the given spec with the stored spec's own values, see ``keep_values``.
 
     Raise InputError, beginning with the name of the store, if more than values differ.
     """
-    if stored.continuation is not None or given.continuation is not None:
+    if stored.continuation is not None or spec.continuation is not None:
         raise InputError(f"{name}: a continued sweep cannot be extended: each cell depends on the cells before it")
     names = [axis.name for axis in stored.axes]
-    with_old_axes = given.to_resolved() | ({"axes": stored.to_resolved()["axes"]} if names == _names(given) else {})
+    with_old_axes = spec.to_resolved() | ({"axes": stored.to_resolved()["axes"]} if names == _names(spec) else {})
     reasons = differences(stored, Spec.from_resolved(with_old_axes))
     if reasons:
         raise InputError(f"{name}: cannot be extended by this spec: {'; '.join(reasons)}")
-    axes = {new.name: keep_values(before, new) for before, new in zip(stored.axes, given.axes, strict=True)}
-    return _spec_of(stored, axes, given.tile)
+    axes = {new.name: keep_values(before, new) for before, new in zip(stored.axes, spec.axes, strict=True)}
+    return _spec_of(stored, axes, spec.tile)
 
 
 def refine_spec(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[int, ...] | None = None) -> Spec:
@@ -70,15 +70,15 @@ def _finer(axis: Axis, factor: int) -> Axis:
     return Axis(axis.name, tuple(values.tolist()), axis.scale)
 
 
-def keep_values(stored: Axis, given: Axis) -> Axis:
+def keep_values(stored: Axis, axis: Axis) -> Axis:
     """Return the given axis, with stored values in place of values that differ by rounding only."""
-    old, new = np.array(stored.values), np.array(given.values)
+    old, new = np.array(stored.values), np.array(axis.values)
     after = np.searchsorted(old, new)
     below, above = old[np.maximum(after - 1, 0)], old[np.minimum(after, len(old) - 1)]
     near = np.where(np.abs(new - below) <= np.abs(new - above), below, above)
-    scale = np.abs(new) if given.scale == "log" else np.max(np.abs(np.concatenate([old, new])))
+    scale = np.abs(new) if axis.scale == "log" else np.max(np.abs(np.concatenate([old, new])))
     meant = np.abs(new - near) <= SAME_VALUE_ULPS * np.spacing(scale)
-    return Axis(given.name, tuple(np.where(meant, near, new).tolist()), given.scale)
+    return Axis(axis.name, tuple(np.where(meant, near, new).tolist()), axis.scale)
 
 
 def _spec_of(stored: Spec, axes: Mapping[str, Axis], tile: tuple[int, ...] | None) -> Spec:

@@ -30,20 +30,20 @@ def row_count(points: Columns) -> int:
     return len(next(iter(points.values())))
 
 
-def parse_points(given: object, system: System, folder: Path | None = None) -> Columns:
+def parse_points(points: object, system: System, folder: Path | None = None) -> Columns:
     """Return the columns of a table by name.
 
-    ``given`` is ``{"file": path}``, with a path relative to ``folder`` if given, or a mapping of names to lists of
+    ``points`` is ``{"file": path}``, with a path relative to ``folder`` if given, or a mapping of names to lists of
     values of one length. Raise InputError with row and column for a value that is no number, or is outside its
     parameter's range. Rows are counted as in a spreadsheet: row 1 has the names.
     """
-    if isinstance(given, Mapping) and isinstance(given.get(FILE), str | Path):
-        check_names("key in points", given, [FILE])
-        path = Path(given[FILE])
+    if isinstance(points, Mapping) and isinstance(points.get(FILE), str | Path):
+        check_names("key in points", points, [FILE])
+        path = Path(points[FILE])
         return _read_file(path if folder is None else folder / path, system)
-    if not isinstance(given, Mapping):
-        raise InputError(f"points: found {brief_repr(given)}, must be a table with the key {FILE}, or with columns")
-    return _checked_columns("points", given, system)
+    if not isinstance(points, Mapping):
+        raise InputError(f"points: found {brief_repr(points)}, must be a table with the key {FILE}, or with columns")
+    return _checked_columns("points", points, system)
 
 
 def axis_of(points: Columns) -> Axis:
@@ -56,18 +56,18 @@ def describe_points(points: Columns) -> str:
     return f"{row_count(points)} rows of {', '.join(points)}"
 
 
-def describe_difference(stored: Columns, given: Columns) -> list[str]:
+def describe_difference(stored: Columns, points: Columns) -> list[str]:
     """Return the difference of two tables as a short text; empty if they are equal."""
-    if stored == given:
+    if stored == points:
         return []
-    if stored.keys() != given.keys():
-        sides = [", ".join(columns) or "none" for columns in (stored, given)]
+    if stored.keys() != points.keys():
+        sides = [", ".join(columns) or "none" for columns in (stored, points)]
         return [f"columns of points {sides[0]} in the store, {sides[1]} in the spec"]
-    rows = [row_count(columns) for columns in (stored, given)]
+    rows = [row_count(columns) for columns in (stored, points)]
     if rows[0] != rows[1]:
         return [f"{rows[0]} points in the store, {rows[1]} in the spec"]
-    row, name = next((i, name) for i in range(rows[0]) for name in stored if stored[name][i] != given[name][i])
-    return [f"point {row}: {name} = {stored[name][row]!r} in the store, {given[name][row]!r} in the spec"]
+    row, name = next((i, name) for i in range(rows[0]) for name in stored if stored[name][i] != points[name][i])
+    return [f"point {row}: {name} = {stored[name][row]!r} in the store, {points[name][row]!r} in the spec"]
 
 
 def _read_file(path: Path, system: System) -> Columns:
@@ -120,10 +120,10 @@ def _check_handle(where: str, names: Sequence[object], system: System) -> None:
         raise InputError(f"{where}: column {twice} occurs twice")
 
 
-def _checked_columns(where: str, given: Mapping[str, Any], system: System) -> Columns:
-    _check_handle(where, list(given), system)
+def _checked_columns(where: str, table: Mapping[str, Any], system: System) -> Columns:
+    _check_handle(where, list(table), system)
     columns: dict[str, tuple[float, ...]] = {}
-    for name, values in given.items():
+    for name, values in table.items():
         listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
         if not isinstance(listed, Sequence) or isinstance(listed, str):
             raise InputError(f"{where}: column {name}: found {brief_repr(values)}, must be a list of numbers")

@@ -320,46 +320,46 @@ class Spec:
         return params
 
 
-def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
+def given_values(mapping: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
     """Return values by name, from a mapping, keywords or both, as in xarray's ``sel``."""
-    if given is not None and not isinstance(given, Mapping):
-        raise InputError(f"found {brief_repr(given)}, must be values by name, such as omega=3 or {{'omega': 3}}")
+    if mapping is not None and not isinstance(mapping, Mapping):
+        raise InputError(f"found {brief_repr(mapping)}, must be values by name, such as omega=3 or {{'omega': 3}}")
     for name in named:
-        if name in (given or {}):
+        if name in (mapping or {}):
             raise InputError(f"{name}: given twice")
-    return {**(given or {}), **named}
+    return {**(mapping or {}), **named}
 
 
-def given_settings(given: Settings | None) -> Settings:
+def given_settings(settings: Settings | None) -> Settings:
     """Return the settings of a call; the defaults for None."""
-    return Settings() if given is None else validate_type("settings", given, Settings, "atlas.Settings(...)")
+    return Settings() if settings is None else validate_type("settings", settings, Settings, "atlas.Settings(...)")
 
 
-def check_parameters(system: System, given: Iterable[object], kind: str = "parameter") -> None:
+def check_parameters(system: System, names: Iterable[object], kind: str = "parameter") -> None:
     """Raise InputError at the first name that is no parameter of a system."""
     known = {parameter.name for parameter in system.parameters}
-    for name in given:
+    for name in names:
         if name not in known:
             raise InputError(system.unknown_name_message(name if isinstance(name, str) else brief_repr(name), kind))
 
 
-def validate_parameters(system: System, given: Mapping[str, Any]) -> dict[str, float]:
+def validate_parameters(system: System, values: Mapping[str, Any]) -> dict[str, float]:
     """Return all parameters of a system: given values checked against their ranges, others at their defaults."""
-    check_parameters(system, given)
-    return {p.name: validate_in_range(p, given[p.name]) if p.name in given else p.default for p in system.parameters}
+    check_parameters(system, values)
+    return {p.name: validate_in_range(p, values[p.name]) if p.name in values else p.default for p in system.parameters}
 
 
-def parse_settings(given: Mapping[str, Any]) -> Settings:
+def parse_settings(table: Mapping[str, Any]) -> Settings:
     """Return the settings of a [solve] table; raise InputError, naming the setting, for a wrong table."""
-    if not isinstance(given, Mapping):
-        raise InputError(f"solve: found {brief_repr(given)}, must be a table")
-    check_names("key in solve", given, [field.name for field in fields(Settings)])
-    for name, value in given.items():
+    if not isinstance(table, Mapping):
+        raise InputError(f"solve: found {brief_repr(table)}, must be a table")
+    check_names("key in solve", table, [field.name for field in fields(Settings)])
+    for name, value in table.items():
         if is_integer(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
             raise InputError(f"solve.{name}: found {brief_repr(value)}, must be less than 2**63")
     # A whole tolerance must have the same digest as the equal float.
     arguments: dict[str, Any] = {
-        name: float(value) if name == "tolerance" and is_integer(value) else value for name, value in given.items()
+        name: float(value) if name == "tolerance" and is_integer(value) else value for name, value in table.items()
     }
     try:
         return Settings(**arguments)

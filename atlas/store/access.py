@@ -150,9 +150,9 @@ def local_folder(store: Any) -> Path | None:
     return Path(store.prefix).absolute()
 
 
-def _frozen(given: Mapping[str, Any]) -> Pairs:
+def _frozen(settings: Mapping[str, Any]) -> Pairs:
     """Return settings, nested ones too, as sorted pairs, which are hashable."""
-    pairs = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in given.items())
+    pairs = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in settings.items())
     return tuple(sorted(pairs, key=lambda pair: pair[0]))
 
 

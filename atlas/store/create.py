@@ -31,49 +31,49 @@ from workers.results import REGIME
 TRIAL = ".trial-"
 
 
-def check_run(place: StoreBackend, spec: Spec, handle: AtlasStore | None, origin: Origin | None = None) -> None:
+def check_run(backend: StoreBackend, spec: Spec, handle: AtlasStore | None, origin: Origin | None = None) -> None:
     """Raise InputError unless a run of ``spec`` may create a store in a backend, or resume the store there.
 
-    place    backend of the store
+    backend  backend of the store
     spec     spec of the run
     handle   handle of the existing store, None if there is none
     origin   the origin that the existing store must have, if given
     """
-    check_not_packed(place)
+    check_not_packed(backend)
     if handle is None:
         spec.check_stored_form()
-        with os_errors_as_input_errors(place, "written"):
-            if place.local is None:
-                _refuse_foreign(place, spec)
-            _check_writable(place)
+        with os_errors_as_input_errors(backend, "written"):
+            if backend.local is None:
+                _refuse_foreign(backend, spec)
+            _check_writable(backend)
         return
     if handle.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{place}: computed by solver version {handle.solver_version}, installed is {SOLVER_VERSION}; "
+            f"{backend}: computed by solver version {handle.solver_version}, installed is {SOLVER_VERSION}; "
             "a store cannot mix solver versions, choose another path"
         )
     if handle.digest != spec.digest and handle.spec.digest != spec.digest:  # a spec from before a setting existed
-        raise InputError(f"{place}: has another spec: {'; '.join(differences(handle.spec, spec))}")
-    with os_errors_as_input_errors(place, "written"):
-        if place.local is not None:
-            if not os.access(place.local, os.W_OK):
+        raise InputError(f"{backend}: has another spec: {'; '.join(differences(handle.spec, spec))}")
+    with os_errors_as_input_errors(backend, "written"):
+        if backend.local is not None:
+            if not os.access(backend.local, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        elif root := place.get(ROOT):
-            place.put_new(ROOT, root)  # writes nothing, but raises without permission to write
+        elif root := backend.get(ROOT):
+            backend.put_new(ROOT, root)  # writes nothing, but raises without permission to write
     if origin and origin != handle.origin:
         raise InputError(
-            f"{place}: a store that was not made from {sibling_backend(place, origin.store)}; choose another path"
+            f"{backend}: a store that was not made from {sibling_backend(backend, origin.store)}; choose another path"
         )
 
 
-def _refuse_foreign(place: StoreBackend, spec: Spec) -> None:
+def _refuse_foreign(backend: StoreBackend, spec: Spec) -> None:
     """Raise InputError if a URL has objects that no interrupted creation has left there, such as finished tiles."""
     ours = {key.partition("/")[0] for key in layout(root_attributes(spec, spec.shape, None), spec)}
-    for key in place.list_keys():
+    for key in backend.list_keys():
         if key.startswith(f"{REGIME.name}/c/"):
-            raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
+            raise InputError(f"{backend}: holds tiles, but {ROOT} is missing: {remedy(backend)}")
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
-            raise InputError(f"{place}: found {key}, which is no part of an atlas; choose another path or remove it")
+            raise InputError(f"{backend}: found {key}, which is no part of an atlas; choose another path or remove it")
 
 
 def create_store(
@@ -95,19 +95,19 @@ def create_store(
     return open_store(backend)
 
 
-def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
+def make_store(backend: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
     """Create a store without results; the store appears at once or not at all.
 
     On a disk its folder is renamed. At a URL the metadata of the root are written after all other objects, and only if
     none exist.
     """
-    objects, path = layout(root_attributes(spec, tile, origin, run_id), spec), place.local
+    objects, path = layout(root_attributes(spec, tile, origin, run_id), spec), backend.local
     if path is None:
-        place.confirm_lease()
-        place.put_all({key: data for key, data in objects.items() if key not in (ROOT, SPEC_KEY)})
-        if not place.put_new(ROOT, objects[ROOT]):
-            raise InputError(f"{place}: another run has just created it; rerun the same command to resume it")
-        place.put(SPEC_KEY, objects[SPEC_KEY])  # after the root, so that both come from one run
+        backend.confirm_lease()
+        backend.put_all({key: data for key, data in objects.items() if key not in (ROOT, SPEC_KEY)})
+        if not backend.put_new(ROOT, objects[ROOT]):
+            raise InputError(f"{backend}: another run has just created it; rerun the same command to resume it")
+        backend.put(SPEC_KEY, objects[SPEC_KEY])  # after the root, so that both come from one run
         return
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
     try:
@@ -115,7 +115,7 @@ def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: O
         if building.with_name(building.name.swapcase()).exists():
             refuse_equal_names(path, spec)
         LocalBackend(building).put_all(objects)
-        place.confirm_lease()
+        backend.confirm_lease()
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)
@@ -137,15 +137,15 @@ def _names(spec: Spec) -> set[str]:
     return {*coordinate_names(spec)} | {variable.name for variable in spec.variables}
 
 
-def _check_writable(place: StoreBackend) -> None:
+def _check_writable(backend: StoreBackend) -> None:
     """Try to write, since permission bits are not reliable; on a disk, in the nearest existing folder."""
-    if place.local is None:
+    if backend.local is None:
         trial = f"{TRIAL}{uuid.uuid4().hex}"
-        place.put(trial, b"")
-        place.remove(trial)
+        backend.put(trial, b"")
+        backend.remove(trial)
         return
-    home = next(folder for folder in place.local.parents if folder.exists())
-    with tempfile.TemporaryDirectory(prefix=f".{place.local.name}.", dir=home):
+    home = next(folder for folder in backend.local.parents if folder.exists())
+    with tempfile.TemporaryDirectory(prefix=f".{backend.local.name}.", dir=home):
         pass
 
 

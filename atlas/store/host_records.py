@@ -15,8 +15,8 @@ def record_host(handle: AtlasStore, machine: HostInfo) -> None:
 
 
 @lru_cache(maxsize=64)  # once for each process and store
-def _recorded(place: StoreBackend, run_id: str, machine: HostInfo) -> None:
-    place.put_new(f"{HOSTS}/{machine.name}/{ROOT}", _record(machine))
+def _recorded(backend: StoreBackend, run_id: str, machine: HostInfo) -> None:
+    backend.put_new(f"{HOSTS}/{machine.name}/{ROOT}", _record(machine))
 
 
 def read_hosts(handle: AtlasStore) -> tuple[HostInfo, ...]:
@@ -30,9 +30,9 @@ def host_keys(handle: AtlasStore) -> list[str]:
     return sorted(key for key in keys if key.endswith(f"/{ROOT}") and key.count("/") == 2)
 
 
-def read_host(place: StoreBackend, key: str) -> HostInfo | None:
+def read_host(backend: StoreBackend, key: str) -> HostInfo | None:
     """Return the host of a record; None if the record is damaged."""
-    data = place.get(key)
+    data = backend.get(key)
     machine = _host_in(data, key)
     return machine if machine is not None and _record(machine) == data else None
 

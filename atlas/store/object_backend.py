@@ -93,15 +93,15 @@ def default_storage_options(storage_options: Mapping[str, Any]) -> Iterator[None
         _beyond = before
 
 
-def _checked(place: "ObjectBackend") -> "ObjectBackend":
+def _checked(backend: "ObjectBackend") -> "ObjectBackend":
     """Return the backend; raise InputError if no client can be created for it."""
     try:
-        _ = place.client
+        _ = backend.client
     except ImportError as error:
-        raise InputError(f"{place}: {first_line(error)}; needs obstore: pip install obstore") from None
+        raise InputError(f"{backend}: {first_line(error)}; needs obstore: pip install obstore") from None
     except Exception as error:
-        raise InputError(f"{place}: not a valid location for a store: {first_line(error)}") from None
-    return place
+        raise InputError(f"{backend}: not a valid location for a store: {first_line(error)}") from None
+    return backend
 
 
 def _place_of_object(store: Any, patience: float) -> StoreBackend:
@@ -116,39 +116,41 @@ def _place_of_object(store: Any, patience: float) -> StoreBackend:
     return _checked(ObjectBackend(*access_of(store), patience))
 
 
-def sibling_name(place: StoreBackend, other: StoreBackend) -> str:
-    """Return the name by which ``sibling_backend`` finds another store: its path from the folder of ``place``, or URL.
+def sibling_name(backend: StoreBackend, other: StoreBackend) -> str:
+    """Return the name by which ``sibling_backend`` finds another store: its path from that of ``backend``, or its URL.
 
     Two folders that are moved together still find each other.
     """
-    if is_url(str(other)) or is_url(str(place)):
+    if is_url(str(other)) or is_url(str(backend)):
         return str(other)
-    name, base_path = Path(os.path.realpath(str(other))), Path(os.path.realpath(str(place)))
+    name, base_path = Path(os.path.realpath(str(other))), Path(os.path.realpath(str(backend)))
     return (name if name.anchor != base_path.anchor else Path(os.path.relpath(name, base_path))).as_posix()
 
 
-def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
-    """Return the backend of another store, with the access of ``place`` if both are at URLs.
+def sibling_backend(backend: StoreBackend, store: str) -> StoreBackend:
+    """Return the backend of another store, with the access of ``backend`` if both are at URLs.
 
-    A relative path begins in the folder of ``place``.
+    A relative path begins in the folder of ``backend``.
     """
-    is_relative = not (is_url(store) or os.path.isabs(store) or is_url(str(place)))
-    other = open_backend(os.path.normpath(os.path.join(os.path.realpath(str(place)), store)) if is_relative else store)
-    if isinstance(other, ObjectBackend) and isinstance(place, ObjectBackend):
-        return replace(other, access=place.access)
+    is_relative = not (is_url(store) or os.path.isabs(store) or is_url(str(backend)))
+    other = open_backend(
+        os.path.normpath(os.path.join(os.path.realpath(str(backend)), store)) if is_relative else store
+    )
+    if isinstance(other, ObjectBackend) and isinstance(backend, ObjectBackend):
+        return replace(other, access=backend.access)
     return other
 
 
-def picklable_backend(place: StoreBackend) -> StoreBackend:
+def picklable_backend(backend: StoreBackend) -> StoreBackend:
     """Return the backend without the lease of this process, as it is sent to workers.
 
     Raise InputError if its credential provider cannot be sent.
     """
-    bare = place.with_lease(None)
+    bare = backend.with_lease(None)
     try:
         pickle.dumps(bare)
     except Exception as error:
-        raise InputError(f"{place}: its credential_provider cannot be sent to workers: {first_line(error)}") from None
+        raise InputError(f"{backend}: its credential_provider cannot be sent to workers: {first_line(error)}") from None
     return bare
 
 
@@ -170,10 +172,12 @@ def _place_at(path: Path) -> StoreBackend:
     return ZarrBackend(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalBackend(path)
 
 
-def with_patience(place: StoreBackend, patience: float) -> StoreBackend:
+def with_patience(backend: StoreBackend, patience: float) -> StoreBackend:
     """Return the same backend with another patience, if it is at a URL."""
     return (
-        replace(place, patience=patience).with_lease(place.confirmation) if isinstance(place, ObjectBackend) else place
+        replace(backend, patience=patience).with_lease(backend.confirmation)
+        if isinstance(backend, ObjectBackend)
+        else backend
     )
 
 
@@ -346,11 +350,11 @@ def _range_of(part: slice) -> Any:
 
 
 @contextmanager
-def os_errors_as_input_errors(place: StoreBackend, what: str) -> Iterator[None]:
+def os_errors_as_input_errors(backend: StoreBackend, what: str) -> Iterator[None]:
     """Convert an OSError into an InputError with this cause; a server that does not respond remains a NetworkError."""
     try:
         yield
     except NetworkError:
         raise
     except OSError as error:
-        raise InputError(f"{place}: cannot be {what}: {error.strerror or error}") from error
+        raise InputError(f"{backend}: cannot be {what}: {error.strerror or error}") from error

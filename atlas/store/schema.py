@@ -211,9 +211,9 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
     return attributes
 
 
-def remedy(place: StoreBackend) -> str:
+def remedy(backend: StoreBackend) -> str:
     """Return the remedy for missing, damaged or wrong metadata, for a message."""
-    return REPACK_HINT if str(place).lower().endswith(".zip") else f"atlas verify --repair {place} restores them"
+    return REPACK_HINT if str(backend).lower().endswith(".zip") else f"atlas verify --repair {backend} restores them"
 
 
 def _variable_node(variable: Variable, spec: Spec, tiling: Tiling) -> dict[str, Any]:

@@ -108,10 +108,10 @@ class AtlasStore:
             same = self.state and _state(self.backend.get(ROOT)) == self.state
         return self if same else open_store(self.backend)
 
-    def with_backend(self, place: StoreBackend) -> "AtlasStore":
+    def with_backend(self, backend: StoreBackend) -> "AtlasStore":
         """Return the same handle for another view of its backend; both share everything that is read and opened."""
         other = object.__new__(AtlasStore)
-        vars(other).update(vars(self), backend=place)
+        vars(other).update(vars(self), backend=backend)
         return other
 
     @property
@@ -197,54 +197,54 @@ def open_store(store: "Given | AtlasStore", storage_options: Mapping[str, Any] |
         return _open_handle(backend)
 
 
-def _open_handle(place: StoreBackend) -> AtlasStore:
-    content = place.get(ROOT)
+def _open_handle(backend: StoreBackend) -> AtlasStore:
+    content = backend.get(ROOT)
     attributes = unsealed(content)
     is_intact = attributes is not None and TILES in members_of(content)
-    other = None if is_intact else unsealed(place.get(SPEC_KEY))
+    other = None if is_intact else unsealed(backend.get(SPEC_KEY))
     if attributes is None and other is not None and other.get("format") == FORMAT:
         damage = "is missing" if content is None else "is damaged (its checksum is wrong)"
-        raise InputError(f"{place}: {ROOT} {damage}: {remedy(place)}")
-    if not is_intact and other is None and _is_copy(place, content):
-        raise InputError(f"{place}: {COPY_BY_XARRAY}")
-    return replace(handle_by(place, attributes or _attributes(place, content)), state=_state(content))
+        raise InputError(f"{backend}: {ROOT} {damage}: {remedy(backend)}")
+    if not is_intact and other is None and _is_copy(backend, content):
+        raise InputError(f"{backend}: {COPY_BY_XARRAY}")
+    return replace(handle_by(backend, attributes or _attributes(backend, content)), state=_state(content))
 
 
-def _attributes(place: StoreBackend, content: bytes | None) -> dict[str, Any]:
+def _attributes(backend: StoreBackend, content: bytes | None) -> dict[str, Any]:
     """Return the attributes of a root without a right checksum. Raise InputError if it is not that of an atlas."""
-    path = place.local or getattr(place, "file", None)
+    path = backend.local or getattr(backend, "file", None)
     if content is None and not (path is not None and path.exists()):
-        raise InputError(f"{place}: no such store")
+        raise InputError(f"{backend}: no such store")
     try:
         attributes = dict(json.loads(content or b"")["attributes"])
     except (KeyError, TypeError, ValueError, RecursionError):
         attributes = {}
     if attributes.get("format") == FORMAT and attributes.get("format_version") == FORMAT_VERSION:
-        raise InputError(f"{place}: {ROOT} is damaged, and its copy {SPEC_KEY} is missing or damaged, too")
+        raise InputError(f"{backend}: {ROOT} is damaged, and its copy {SPEC_KEY} is missing or damaged, too")
     return attributes
 
 
-def _is_copy(place: StoreBackend, content: bytes | None) -> bool:
+def _is_copy(backend: StoreBackend, content: bytes | None) -> bool:
     """Return True if a root was copied without its groups: it is intact, and no group of tiles stands beside it."""
-    return unsealed(content) is not None and not place.exists(f"{TILES}/{ROOT}")
+    return unsealed(content) is not None and not backend.exists(f"{TILES}/{ROOT}")
 
 
 def _state(content: bytes | None) -> str:
     return hashlib.sha256(content or b"").hexdigest()
 
 
-def handle_by(place: StoreBackend, attributes: Mapping[str, Any]) -> AtlasStore:
+def handle_by(backend: StoreBackend, attributes: Mapping[str, Any]) -> AtlasStore:
     """Return the handle of a store with these attributes of its root.
 
     Raise InputError if they are not those of an atlas, or have an unknown format.
     """
     if attributes.get("format") != FORMAT:
-        raise InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
+        raise InputError(f"{backend}: not an atlas (no {FORMAT} attributes)")
     if attributes.get("format_version") != FORMAT_VERSION:
         version = brief_repr(attributes.get("format_version"))
-        raise InputError(f"{place}: format version {version}, this program reads version {FORMAT_VERSION}")
+        raise InputError(f"{backend}: format version {version}, this program reads version {FORMAT_VERSION}")
     return AtlasStore(
-        backend=place,
+        backend=backend,
         attributes=attributes,
         digest=attributes["digest"],
         run_id=attributes["run_id"],
@@ -275,11 +275,11 @@ def find_store(store: Given) -> AtlasStore | None:
     return None if free else open_store(backend)
 
 
-def is_free(place: StoreBackend) -> bool:
+def is_free(backend: StoreBackend) -> bool:
     """Return True if a backend has no store, and on a disk no other content."""
-    path = place.local
+    path = backend.local
     if path is None:
-        return not place.exists(ROOT)
+        return not backend.exists(ROOT)
     return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
@@ -303,11 +303,11 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra_dims)])
 
 
-def array_by(place: StoreBackend, path: str, node: Node) -> Any:
+def array_by(backend: StoreBackend, path: str, node: Node) -> Any:
     """Return a Zarr array of a store, for reading, that the metadata ``node`` describe."""
     from atlas.store.zarr_store import BackendStore  # with it Zarr, which takes a while to load
 
-    return array_in(BackendStore(place), path, node)
+    return array_in(BackendStore(backend), path, node)
 
 
 def array_in(store: Any, path: str, node: Node) -> Any:

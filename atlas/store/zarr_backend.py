@@ -35,23 +35,23 @@ class ZarrBackend(StoreBackend):
     A damaged zip file raises OSErrors. Two backends are equal if they have the same object, or files of the same path.
     """
 
-    given: Any
+    root: Any
 
     def __str__(self) -> str:
-        return str(self.given).splitlines()[0]
+        return str(self.root).splitlines()[0]
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ZarrBackend):
             return False
-        return other.given is self.given or (self.file is not None and other.file == self.file)
+        return other.root is self.root or (self.file is not None and other.file == self.file)
 
     def __hash__(self) -> int:
-        return id(self.given) if self.file is None else hash(self.file)
+        return id(self.root) if self.file is None else hash(self.file)
 
     @property
     def file(self) -> Path | None:
         """The path of the zip file; None for a Zarr store object."""
-        return self.given if isinstance(self.given, Path) else None
+        return self.root if isinstance(self.root, Path) else None
 
     @property
     def read_only_reason(self) -> str:  # type: ignore[override]
@@ -102,7 +102,7 @@ class ZarrBackend(StoreBackend):
     async def _open(self) -> Any:
         """Return the Zarr store; None for a zip file that does not exist."""
         if self.file is None:
-            return self.given
+            return self.root
         try:
             stat = os.stat(self.file)
         except (FileNotFoundError, NotADirectoryError):
@@ -161,12 +161,12 @@ def open_zarr_backend(store: Any) -> ZarrBackend:
     return ZarrBackend(store)
 
 
-def check_not_packed(place: StoreBackend) -> None:
+def check_not_packed(backend: StoreBackend) -> None:
     """Raise InputError if a backend that is to be written is read-only, such as a zip file."""
-    if place.read_only_reason:
-        file = place.file if isinstance(place, ZarrBackend) else None
+    if backend.read_only_reason:
+        file = backend.file if isinstance(backend, ZarrBackend) else None
         name = f"folder such as {file.with_suffix('.zarr')}" if file else "path or a URL"
-        raise InputError(f"{place}: {place.read_only_reason} is read-only; give a {name}")
+        raise InputError(f"{backend}: {backend.read_only_reason} is read-only; give a {name}")
 
 
 def run_in_zarr(work: Coroutine[Any, Any, _T]) -> _T:

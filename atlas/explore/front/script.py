@@ -31,20 +31,20 @@ def page_script() -> str:
     )
 
 
-def call(function: str, **given: Any) -> Any:
+def call(function: str, **arguments: Any) -> Any:
     """Return the callback with which Bokeh calls an exported function.
 
     function   name of the function
-    given      models and values that the function receives, besides the model that has changed
+    arguments  models and values that the function receives, besides the model that has changed
     """
     from bokeh.models import CustomJS
 
-    return CustomJS(args={"given": given}, code=f"atlasPage.{function}(given, cb_obj)")
+    return CustomJS(args={"given": arguments}, code=f"atlasPage.{function}(given, cb_obj)")
 
 
-def html_part(name: str, given: Any = None) -> str:
-    """Return the HTML of a part of the page that a module fills from the JSON ``given``."""
-    return f'<atlas-part class="{name}" data-of="{name}" data-given="{html.escape(json.dumps(given))}"></atlas-part>'
+def html_part(name: str, data: Any = None) -> str:
+    """Return the HTML of a part of the page that a module fills from the JSON ``data``."""
+    return f'<atlas-part class="{name}" data-of="{name}" data-given="{html.escape(json.dumps(data))}"></atlas-part>'
 
 
 def legend_css() -> str:

@@ -278,24 +278,24 @@ def _is_alike(one: Itinerary, other: Itinerary) -> bool:
     return _length(one) == _length(other) and len(one.sides) == len(other.sides)
 
 
-def _is_whole(known: FollowedCurve, place: int) -> bool:
+def _is_whole(known: FollowedCurve, chord: int) -> bool:
     """Return True if the orbits at both ends of a chord have the same events."""
-    return known.orbits[place].itinerary == known.orbits[place + 1].itinerary
+    return known.orbits[chord].itinerary == known.orbits[chord + 1].itinerary
 
 
 def _solved_at(
-    family: Family, event: PlaneEvent, known: FollowedCurve, place: int, share: float, width: Array
+    family: Family, event: PlaneEvent, known: FollowedCurve, chord: int, share: float, width: Array
 ) -> tuple[Array, Orbit] | None:
     """Return the point of a curve on the line across its chord, with its orbit."""
-    ends = [k for k in (place, place + 1) if _is_alike(known.orbits[k].itinerary, event.orbit.itinerary)]
+    ends = [k for k in (chord, chord + 1) if _is_alike(known.orbits[k].itinerary, event.orbit.itinerary)]
     if not ends:
         return None
-    condition, along = known.conditions[ends[0]], known.values[place + 1] - known.values[place]
+    condition, along = known.conditions[ends[0]], known.values[chord + 1] - known.values[chord]
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
     equations = ExtendedSystem(family, known.orbits[ends[0]], (condition,), known.values[ends[0]], width)
     packed = [equations.pack(known.orbits[k], known.contact_times[k], known.values[k]) for k in ends]
-    guess = (1.0 - share) * packed[0] + share * packed[1] if _is_whole(known, place) else packed[0]
+    guess = (1.0 - share) * packed[0] + share * packed[1] if _is_whole(known, chord) else packed[0]
     row = np.zeros(len(guess))
     row[-2:] = along / width**2
     row /= np.linalg.norm(row * equations.scale)

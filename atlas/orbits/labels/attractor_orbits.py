@@ -24,7 +24,7 @@ class AttractorOrbitTable(OrbitTable):
     keep              number of attractors stored per cell
     points (C, axes)  parameters of every cell, in C order
     cell (A,)         cell of each orbit; orbits are in the order of cells and of their index there
-    place (A,)        index of the orbit among the attractors of its cell
+    rank (A,)         index of the orbit among the attractors of its cell
     share (A,)        share of the attractor
     twin (A,)         the orbit of its cell that is its mirror image, itself if it is symmetric; -1 if there is none
     """
@@ -33,7 +33,7 @@ class AttractorOrbitTable(OrbitTable):
     keep: int
     points: Array
     cell: Rows
-    place: Rows
+    rank: Rows
     share: Array
     twin: Rows
 
@@ -53,7 +53,7 @@ class AttractorOrbitTable(OrbitTable):
     def row(self) -> Rows:
         """The orbit (C, keep) of each cell and attractor, -1 if there is none."""
         row = np.full((len(self.points), self.keep), -1)
-        row[self.cell, self.place] = np.arange(len(self))
+        row[self.cell, self.rank] = np.arange(len(self))
         return row
 
     def same_kind_pairs(self, away: int = 1) -> Rows:
@@ -120,7 +120,7 @@ def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
         keep=known.shape[1],
         points=np.stack([points[name] for name in axes], axis=1),
         cell=cell,
-        place=rank,
+        rank=rank,
         **{name: values[known] for name, values in columns.items()},
         twin=np.where(image >= 0, row[cell, np.maximum(image, 0)], -1),
     )

@@ -90,7 +90,7 @@ def labels_of(handle: AtlasStore) -> AttractorLabels:
     number, total = _numbered(np.where(links.known, branch[: len(every)], -1), every.share)
     cells = np.bincount(number[number >= 0], minlength=len(total))
     values = np.full((len(every.points), every.keep), UNKNOWN_LABEL, dtype=np.int64)
-    values[every.cell, every.place] = number
+    values[every.cell, every.rank] = number
     labelled_rows = np.flatnonzero(number >= 0)
     first = labelled_rows[np.unique(number[labelled_rows], return_index=True)[1]]
     count = LabelCounts(

@@ -231,7 +231,7 @@ def test_mirror_images_of_linked_orbits_are_linked(tmp_path: Path, client: Clien
 
 def kept(every: AttractorOrbitTable, rows: np.ndarray) -> AttractorOrbitTable:
     """Some of the orbits of an atlas, as if the others had not been found."""
-    names = ("cell", "place", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share")
+    names = ("cell", "rank", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share")
     place = np.where(rows, np.cumsum(rows) - 1, -1)
     twin = np.where(every.twin[rows] >= 0, place[every.twin[rows]], -1)
     return replace(every, twin=twin, **{name: getattr(every, name)[rows] for name in names})
