@@ -59,7 +59,7 @@ MUTATIONS = tuple(
         ("atlas/service/tile_order.py", "np.argsort(-guess,", "np.argsort(guess,", "service/test_tile_order.py"),
         ("atlas/service/tile_order.py", "weights=1 / distance", "weights=distance", "service/test_tile_order.py"),
         ("atlas/query/window.py", "if not 1 <= len(names) <= MAX_AXES:", "if not 1 <= len(names):", "query/test_view.py query/test_query.py"),
-        ("atlas/orbits/curves/distance.py", "if here[axis] == end:", "if here[axis] != end:", "orbits/curves/test_cycle_planes.py"),
+        ("atlas/orbits/curves/distance.py", "if point[axis] == end:", "if point[axis] != end:", "orbits/curves/test_cycle_planes.py"),
         ("atlas/orbits/curves/settings.py", "or value < 1:", "or value < 0:", "orbits/curves/test_curves_table.py interface/test_arguments.py orbits/curves/test_curves_search.py"),
         ("atlas/orbits/curves/passages.py", "chord] <= ONE_CELL", "chord] <= 2 * ONE_CELL", "orbits/curves/test_curves_onward.py"),
         ("atlas/orbits/stored_orbits.py", "if half is not orbit:", "if False:", "orbits/test_stored.py"),

@@ -155,13 +155,13 @@ def _of_quarter(element: _Element) -> _Element:
     return replace(element, within=Expression(f"( {element.within.text} ) / {FINER}"))
 
 
-def _segments(here: System, there: System) -> dict[str, tuple[int, int]]:
+def _segments(system: System, finer_system: System) -> dict[str, tuple[int, int]]:
     """Return the numbers of segments, in two systems, of laws that are expressions, by their entries.
 
     The numbers are those at the defaults.
     """
-    defaults = {p.name: np.array([p.default]) for p in here.parameters}
-    pairs = zip(*(record.definition.laws(defaults) for record in (here, there)), strict=True)
+    defaults = {p.name: np.array([p.default]) for p in system.parameters}
+    pairs = zip(*(record.definition.laws(defaults) for record in (system, finer_system)), strict=True)
     return {
         where: (segments_of(element, table), segments_of(element, finer))
         for (where, element, (table,)), (_, _, (finer,)) in pairs

@@ -151,21 +151,21 @@ class _TileCheckResult:
 def _read_tiles(
     handle: AtlasStore,
     records: TileRecords,
-    done: list[Index],
+    finished_tiles: list[Index],
     drawn: dict[Index, list[int]],
     notify: Callable[[Progress], None],
 ) -> Iterator[_TileCheckResult]:
     """Read and check the finished tiles, several at once, and yield the results."""
     tiling = handle.tiling
     _ = records.columns(DIGEST)  # before several threads read them
-    sizes = [tiling.at(index).size for index in done]
+    sizes = [tiling.at(index).size for index in finished_tiles]
     pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
     begin = time.perf_counter()
-    unfinished = tiling.count - len(done)
+    unfinished = tiling.count - len(finished_tiles)
     stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
     notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check_tile(handle, records, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check_tile(handle, records, index, drawn.get(index, [])), finished_tiles)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = unfinished + read
@@ -204,18 +204,18 @@ def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
     return tuple(part.start + int(along[0]) for part, along in zip(slices, np.nonzero(mask), strict=True))
 
 
-def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
+def draw_cells(tiling: Tiling, finished_tiles: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
     """Draw ``count`` cells of the finished tiles, all with the same probability.
 
     Return flat indices of cells within their tiles, by tile.
     """
     rng = random.Random(seed)
-    ends = list(accumulate(tiling.at(index).size for index in done))
+    ends = list(accumulate(tiling.at(index).size for index in finished_tiles))
     total = ends[-1] if ends else 0
     drawn: defaultdict[Index, list[int]] = defaultdict(list)
     for flat in sorted(rng.sample(range(total), min(count, total))):
         tile = bisect_right(ends, flat)
-        drawn[done[tile]].append(flat - (ends[tile - 1] if tile else 0))
+        drawn[finished_tiles[tile]].append(flat - (ends[tile - 1] if tile else 0))
     return drawn
 
 

@@ -26,7 +26,7 @@ def foreign_keys(handle: AtlasStore) -> Iterator[str]:
     for variable in handle.variables:
         yield from _foreign(handle, "", variable, handle.tiling.grid)
     pyramid = Pyramid(handle)
-    for level in range(1, pyramid.levels.count + 1) if pyramid.made else ():
+    for level in range(1, pyramid.levels.count + 1) if pyramid.exists else ():
         for variable in pyramid.variables:
             yield from _foreign(handle, f"{GROUP}/{level}/", variable, pyramid.levels.grid(level))
 

@@ -80,7 +80,7 @@ class RightObjects(dict[str, bytes]):
 def metadata_faults(handle: AtlasStore, right: Mapping[str, bytes]) -> Iterator[StoreFault]:
     """Yield a fault for each object that differs from the ``right`` one."""
     pyramid = Pyramid(handle)
-    coarse = pyramid.coordinates() if pyramid.made else {}
+    coarse = pyramid.coordinates() if pyramid.exists else {}
     rounded = {chunk_of_whole(path, stored): stored.values for path, stored in coarse.items()}
     stored = handle.backend.get_all(right)
     for key, must in right.items():

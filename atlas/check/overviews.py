@@ -40,7 +40,7 @@ def _checked(
 ) -> Iterator[tuple[int, list[StoreFault]]]:
     """Yield, for each chunk from the first level on, the number of its arrays that are whole, and its faults."""
     pyramid = Pyramid(handle)
-    if not pyramid.made:
+    if not pyramid.exists:
         return
     part = StoreBlock(handle, tuple(slice(0, n) for n in handle.spec.shape), pyramid)
     unsound: set[Index] = set()

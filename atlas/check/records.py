@@ -17,8 +17,8 @@ def record_faults(handle: AtlasStore, records: TileRecords, counted: Mapping[Ind
     Records that are missing are a fault of a complete store: a run that was killed may have left others without.
     """
     faults = [f"{key} {damage}" for key, damage in records.damaged.items()]
-    missing = int((records.done & ~records.known_mask).sum())
-    if missing and records.done.all() and not faults:
+    missing = int((records.finished_mask & ~records.known_mask).sum())
+    if missing and records.finished_mask.all() and not faults:
         faults.append(f"{RECORDS}: the records of {plural(missing, 'tile')} are missing")
     counts = slice(CELLS.start, None if REASON in handle.variables else BY_REASON.start)
     rows = records.columns()

@@ -116,7 +116,7 @@ def explore(
         ctx.exit(INTERRUPTED)
 
 
-def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out: Path) -> None:
+def write(ctx: click.Context, subject: str, selection: Numbers, window: Bounds, out: Path) -> None:
     """Write the page of a store; raise InputError for an option of the explorer in the browser."""
     for option in options_given(ctx):
         if option.name not in ("subject", "storage_option", "select", "window", "out"):
@@ -133,7 +133,7 @@ def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out
         raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
     with input_errors():
         check_target(out, FORMATS)
-        ds = select_window(open_selection(subject, chosen), window)
+        ds = select_window(open_selection(subject, selection), window)
         print_status("reading and drawing")
         written = write_page(ds, out)
     print_status(byte_size(written.stat().st_size))

@@ -132,14 +132,14 @@ def storage_option(command: Callable[..., None]) -> Callable[..., None]:
         help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
     )
     @wraps(command)
-    def whole(*args: Any, **arguments: Any) -> None:
+    def wrapper(*args: Any, **arguments: Any) -> None:
         source = click.get_current_context().get_parameter_source("storage_option")
         names = [name for value in arguments.values() for name in (value if isinstance(value, tuple) else (value,))]
         if source is ParameterSource.COMMANDLINE and not any(is_url(n) and not n.startswith("file:") for n in names):
             raise InputError("--storage-option: sets the access of a store at a URL, found no URL of a server")
         command(*args, **arguments)
 
-    return whole
+    return wrapper
 
 
 def store_argument(command: Callable[..., None]) -> Callable[..., None]:
@@ -276,13 +276,13 @@ def worker_options(command: Callable[..., None]) -> Callable[..., None]:
     @dashboard_option
     @click.pass_context
     @wraps(command)
-    def whole(
+    def wrapper(
         ctx: click.Context, /, scheduler: str | None, workers: int | None, dashboard: bool, **arguments: Any
     ) -> None:
         check_workers(scheduler, workers)
         command(ctx, options=RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx)), **arguments)
 
-    return whole
+    return wrapper
 
 
 def check_workers(scheduler: str | None, workers: int | None) -> None:

@@ -113,64 +113,64 @@ class AttractorsPanel(Panel[CellResult]):
         """Show the reason why there are no attractors."""
         self._show(AttractorListing(trouble=reason))
 
-    def _known(self, cell: CellResult, kept: AttractorListing | None) -> None:
-        if kept is None:
+    def _known(self, cell: CellResult, listing: AttractorListing | None) -> None:
+        if listing is None:
             first = first_compile_notice(self._subject.system, ATTRACTORS)
             notice = f"searching from {self._subject.starts.count} initial states{first}"
             self.panel.text = f'{ALL}<span class="waiting">{notice}</span>'
             self.submit([attractor_computation(self._subject, cell)], partial(self._take, cell))
         else:
-            self._take(cell, kept)
+            self._take(cell, listing)
 
-    def _take(self, cell: CellResult, kept: AttractorListing) -> None:
+    def _take(self, cell: CellResult, listing: AttractorListing) -> None:
         """Show attractors, and draw their portraits if there are several."""
-        self._show(kept)
-        states = [attractor["state"] for attractor in kept.listed if "state" in attractor]
+        self._show(listing)
+        states = [attractor["state"] for attractor in listing.listed if "state" in attractor]
 
         def portraits() -> Show:
             drawn = motions(self._subject, cell.parameters, states)
             return lambda: self._motion.portray(drawn) if drawn else None
 
-        if len(kept.listed) > 1:
+        if len(listing.listed) > 1:
             self.run_in_background(portraits)
 
-    def _show(self, kept: AttractorListing) -> None:
-        self.panel.text = ALL + attractors_table(kept, self._subject)
+    def _show(self, listing: AttractorListing) -> None:
+        self.panel.text = ALL + attractors_table(listing, self._subject)
 
 
-def attractors_table(kept: AttractorListing, subject: Subject) -> str:
+def attractors_table(listing: AttractorListing, subject: Subject) -> str:
     """Return the attractors of a cell as an HTML table, with the certainty that the list is complete."""
-    if kept.trouble:
-        return f'<span class="trouble">{html.escape(kept.trouble)}</span>'
-    if not kept.listed:
-        return f"none of {plural(kept.starts, 'initial state')} is decided"
+    if listing.trouble:
+        return f'<span class="trouble">{html.escape(listing.trouble)}</span>'
+    if not listing.listed:
+        return f"none of {plural(listing.starts, 'initial state')} is decided"
     exponents = subject.settings.exponents != "none"
     heads = ["", "", "regime", "n-p-q", *([LARGEST.words] if exponents else []), "share, 95 %"]
     rows = [
         f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
-        + _cells("td", _attractor(attractor, k == kept.own_index, exponents, subject.system)).removeprefix("<tr>")
-        for k, attractor in enumerate(kept.listed)
+        + _cells("td", _attractor(attractor, k == listing.own_index, exponents, subject.system)).removeprefix("<tr>")
+        for k, attractor in enumerate(listing.listed)
     ]
     notes = [
-        f"of {plural(kept.starts, 'initial state')}",
-        "► reached from the cell's own" if kept.own_index >= 0 else "",
-        f"{kept.count - len(kept.listed)} more, of smaller shares" if len(kept.listed) < kept.count else "",
-        f"{kept.undecided} undecided" if kept.undecided else "",
-        f"a search like this misses an attractor of more than {math.ceil(1000 * kept.unseen) / 10:g} %"
+        f"of {plural(listing.starts, 'initial state')}",
+        "► reached from the cell's own" if listing.own_index >= 0 else "",
+        f"{listing.count - len(listing.listed)} more, of smaller shares" if len(listing.listed) < listing.count else "",
+        f"{listing.undecided} undecided" if listing.undecided else "",
+        f"a search like this misses an attractor of more than {math.ceil(1000 * listing.unseen) / 10:g} %"
         " in under 5 % of cases",
-        "stored" if kept.stored else f"found now, tolerance {subject.settings.tolerance:g}",
+        "stored" if listing.stored else f"found now, tolerance {subject.settings.tolerance:g}",
     ]
     table = f'<table class="list">{_cells("th", heads)}{"".join(rows)}</table>'
     return f'{table}<span class="waiting">{html.escape("; ".join(filter(None, notes)))}</span>'
 
 
-def _attractor(attractor: Mapping[str, Any], own: bool, exponents: bool, system: System) -> list[str]:
+def _attractor(attractor: Mapping[str, Any], is_own: bool, exponents: bool, system: System) -> list[str]:
     """Return the row of an attractor: class, orbit, exponent, and the share with its interval of 95 %."""
     orbit = f"{attractor['period']}-{impacts_of(system, attractor)}" if attractor["period"] else ""
     largest = [number(attractor[LARGEST.name], 3)] if exponents else []
     share, low, high = (100 * attractor[name] for name in ("share", "share_low", "share_high"))
     regime = attractor[REGIME.name].replace("_", " ")
-    return ["►" if own else "", regime, orbit, *largest, f"{share:.0f} % ({low:.0f}–{high:.0f})"]
+    return ["►" if is_own else "", regime, orbit, *largest, f"{share:.0f} % ({low:.0f}–{high:.0f})"]
 
 
 def _cells(tag: str, texts: Iterable[str]) -> str:

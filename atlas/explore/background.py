@@ -47,7 +47,7 @@ class BackgroundTasks:
         """Call ``work`` in a thread of the page, then its result, or ``on_error``, in the document's thread."""
         refused = on_error or self.refuse
 
-        def whole() -> None:
+        def run_work() -> None:
             try:
                 act = work()
             except (InputError, RunError, OSError) as error:
@@ -59,7 +59,7 @@ class BackgroundTasks:
 
         with self._lock:
             if not self.closed:
-                self._threads.submit(whole)
+                self._threads.submit(run_work)
 
     def close(self) -> None:
         """Show no further results, and start no further work."""

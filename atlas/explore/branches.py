@@ -154,30 +154,32 @@ class FollowedBranch:
         kind = next((mark.kind for mark in self.events if mark.point_index == index), "")
         return BranchPosition(index, self.values[index], self.branch.run.points[index], kind)
 
-    def find_point(self, value: float, here: BranchPosition) -> int | None:
+    def find_point(self, value: float, position: BranchPosition) -> int | None:
         """Return the index of the point at or after which the branch has a value, nearest along it; None if there is
         none.
         """
         passes = [
-            (abs(k + share - here.point_index), k + int(share == 1.0)) for k, share in self.branch.crossings(value)
+            (abs(k + share - position.point_index), k + int(share == 1.0)) for k, share in self.branch.crossings(value)
         ]
         return min(passes)[1] if passes else None
 
-    def neighbouring_events(self, here: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
+    def neighbouring_events(self, position: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
         """Return the events, or ends of the branch, before and after an orbit; None at an end of the range."""
         last, ends = len(self.values) - 1, self.branch.run.ends
         marks = [
             BranchMarker(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS
         ]
         marks = sorted({mark.point_index: mark for mark in (*marks, *self.events)}.values())
-        position = here.point_index if here.value == self.values[here.point_index] else here.point_index + 0.5
-        before = [mark for mark in marks if mark.point_index < position]
-        after = [mark for mark in marks if mark.point_index > position]
+        index = (
+            position.point_index if position.value == self.values[position.point_index] else position.point_index + 0.5
+        )
+        before = [mark for mark in marks if mark.point_index < index]
+        after = [mark for mark in marks if mark.point_index > index]
         if "closed" in ends:
             before, after = before or after, after or before[:1]
         return (before[-1] if before else None), (after[0] if after else None)
 
-    def motion(self, here: BranchPosition) -> MotionPlotData:
+    def motion(self, position: BranchPosition) -> MotionPlotData:
         """Return the motion of an orbit over all its periods, in closed form from event to event, so unstable orbits
         close.
 
@@ -186,8 +188,8 @@ class FollowedBranch:
         from workers.continuation.equations import motion_of
         from workers.continuation.itinerary import many_orbits
 
-        orbit = here.point.orbit
-        machine, periods = self._family.model(np.array([[here.value]])), orbit.itinerary.periods or 1
+        orbit = position.point.orbit
+        machine, periods = self._family.model(np.array([[position.value]])), orbit.itinerary.periods or 1
         count = min(samples_of(self.table.system) // 2, POINTS // periods)
         turn = orbit.span(machine)
         period = turn * (1 + orbit.itinerary.symmetric) / periods
@@ -196,7 +198,9 @@ class FollowedBranch:
         times = np.concatenate([np.arange(periods * count + 1) / count * period, events])
         order = np.argsort(times, kind="stable")
         states = motion_of(machine, many_orbits([orbit])).states_at(times[None, order])[0][0] + machine.rest
-        return motion_through(self.table.system.build(self._all(here.value)), states, order < periods * count, count)
+        return motion_through(
+            self.table.system.build(self._all(position.value)), states, order < periods * count, count
+        )
 
 
 class EventArrow(NamedTuple):
@@ -209,16 +213,16 @@ class EventArrow(NamedTuple):
     text: str
 
 
-def distance(mark: BranchMarker, here: BranchPosition) -> str:
+def distance(mark: BranchMarker, position: BranchPosition) -> str:
     """Return the signed distance of an event along the parameter, with up to five digits."""
-    away = mark.value - here.value
+    away = mark.value - position.value
     return f"{'+' if away > 0 else ''}{number(away, 5)}"
 
 
 def arrows(
-    branch: FollowedBranch, here: BranchPosition, subject: Subject, view: ViewState, cell: Where
+    branch: FollowedBranch, position: BranchPosition, subject: Subject, view: ViewState, cell: Where
 ) -> list[EventArrow]:
-    """Return arrows on the map, from the cell to the events on both sides of the present point ``here`` of a branch.
+    """Return arrows on the map, from the cell to the events on both sides of the present ``position`` on a branch.
 
     The list is empty if the branch is followed along a parameter that is no axis of the map.
     """
@@ -227,10 +231,10 @@ def arrows(
     (_, x, y), across = cell, branch.table.along == subject.axes[0]
     low, high = view.x if across else view.y
     event_arrows = []
-    for mark in filter(None, branch.neighbouring_events(here)):
-        begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
+    for mark in filter(None, branch.neighbouring_events(position)):
+        begin, end = (min(max(value, low), high) for value in (position.value, mark.value))
         if begin != end:
-            text = f"{mark.kind} {distance(mark, here)}"
+            text = f"{mark.kind} {distance(mark, position)}"
             event_arrows.append(EventArrow(begin, y, end, y, text) if across else EventArrow(x, begin, x, end, text))
     return event_arrows
 
@@ -268,17 +272,17 @@ def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, fl
     )
 
 
-def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> FollowedBranch:
+def follow_orbit(arguments: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> FollowedBranch:
     """Return the branch of a cell's orbit along a parameter.
 
-    asked   system, parameters of the cell, settings, name of the parameter, and two windows
+    arguments   system, parameters of the cell, settings, name of the parameter, and two windows
 
     The branch covers the first window, with smaller steps in the second window. Raise InputError, with a message of one
     line, if there is no branch.
     """
     from workers.continuation import section_state
 
-    system, values, settings, along, windows = asked
+    system, values, settings, along, windows = arguments
     compile_once(*kernels_for(system, ORBITS))
     seed = seed_of_point(values, system, settings)
     value, state = seed.values[along], section_state(system, seed.values, seed.orbit)
@@ -298,24 +302,32 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
     return FollowedBranch(BranchTable.from_tree(tree), index)
 
 
-def _with_part(whole: "Branch", own: int, part: "Branch", part_index: int, window: Range) -> "tuple[Branch, int]":
+def _with_part(
+    full_branch: "Branch", index: int, part: "Branch", part_index: int, window: Range
+) -> "tuple[Branch, int]":
     """Return a branch with its part around a point replaced by the finer ``part``, and the point's new index."""
-    if "closed" in whole.run.ends + part.run.ends:
-        return (part, part_index) if "closed" in part.run.ends else (whole, own)
-    outside, last = np.flatnonzero((whole.values < window[0]) | (whole.values > window[1])), len(whole.values)
-    before, after = outside[outside < own], outside[outside > own]
+    if "closed" in full_branch.run.ends + part.run.ends:
+        return (part, part_index) if "closed" in part.run.ends else (full_branch, index)
+    outside, last = (
+        np.flatnonzero((full_branch.values < window[0]) | (full_branch.values > window[1])),
+        len(full_branch.values),
+    )
+    before, after = outside[outside < index], outside[outside > index]
     # If the part ends within its window, the branch ends there, too.
     first = int(before[-1]) + 1 if before.size and part.run.ends[0] == "edge" else 0
     second = int(after[0]) if after.size and part.run.ends[1] == "edge" else last
-    pieces = (whole, slice(first)), (part, slice(None)), (whole, slice(second, None))
+    pieces = (full_branch, slice(first)), (part, slice(None)), (full_branch, slice(second, None))
     run = part.run._replace(
         points=[point for branch, piece in pieces for point in branch.run.points[piece]],
         events=[
-            *(event for k, event in zip(whole.event_indices, whole.run.events, strict=True) if k < first),
+            *(event for k, event in zip(full_branch.event_indices, full_branch.run.events, strict=True) if k < first),
             *part.run.events,
-            *(event for k, event in zip(whole.event_indices, whole.run.events, strict=True) if k >= second),
+            *(event for k, event in zip(full_branch.event_indices, full_branch.run.events, strict=True) if k >= second),
         ],
-        ends=(whole.run.ends[0] if first else part.run.ends[0], (whole if second < last else part).run.ends[1]),
+        ends=(
+            full_branch.run.ends[0] if first else part.run.ends[0],
+            (full_branch if second < last else part).run.ends[1],
+        ),
     )
     sections = np.concatenate([branch.sections[piece] for branch, piece in pieces])
     mirrored = [branch.mirrored[piece] for branch, piece in pieces if branch.mirrored is not None]

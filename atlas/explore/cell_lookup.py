@@ -41,12 +41,14 @@ class CellLookup:
 
     def __init__(self, tiles: TileCache) -> None:
         self.tiles, self.subject = tiles, tiles.subject
-        self._base = lru_cache(MOST_VIEWS)(lambda sight, names, looked: seen_atlas(self.subject, sight, names))
+        self._base = lru_cache(MOST_VIEWS)(lambda sight, names, listed_at: seen_atlas(self.subject, sight, names))
 
     def visible_cells(self, plane: PlaneParameters, viewport: Viewport, names: Iterable[str]) -> VisibleCells:
         """Return the visible cells of a viewport; unknown cells are pending."""
         variable_names = list(names)
-        base = self._base(viewport, tuple(variable_names), self.tiles.looked) if plane == self.subject.plane else None
+        base = (
+            self._base(viewport, tuple(variable_names), self.tiles.listed_at) if plane == self.subject.plane else None
+        )
         return compose_view(
             self.subject, plane, viewport, self.tiles.visible_tiles(plane, viewport), variable_names, base
         )

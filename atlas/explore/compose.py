@@ -128,16 +128,16 @@ def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: In
     return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 
-def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: PlaneParameters, key: TileKey) -> bool:
+def atlas_covers(subject: Subject, solved_mask: NDArray[np.bool_] | None, plane: PlaneParameters, key: TileKey) -> bool:
     """Return True if the atlas has all cells of a tile that is not finer than the atlas.
 
-    ``done`` (y, x) is the mask of the solved cells of the atlas.
+    ``solved_mask`` (y, x) is the mask of the solved cells of the atlas.
     """
-    if done is None or plane != subject.plane or max(key.level_x, key.level_y) > 0:
+    if solved_mask is None or plane != subject.plane or max(key.level_x, key.level_y) > 0:
         return False
     rows, columns = key.of_atlas
-    inside = rows[0] >= 0 and columns[0] >= 0 and rows[-1] < done.shape[0] and columns[-1] < done.shape[1]
-    return bool(inside and done[np.ix_(rows, columns)].all())
+    inside = rows[0] >= 0 and columns[0] >= 0 and rows[-1] < solved_mask.shape[0] and columns[-1] < solved_mask.shape[1]
+    return bool(inside and solved_mask[np.ix_(rows, columns)].all())
 
 
 def _lay(canvas: Arrays, stages: NDArray[np.uint8], viewport: Viewport, key: TileKey, arrays: Arrays) -> None:

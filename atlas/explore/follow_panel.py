@@ -141,14 +141,14 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
         plane.text(background_fill_alpha=0.85, **at, **look)
 
-    def _mark(self, view: ViewState, cell: Point, branch: FollowedBranch, here: BranchPosition) -> None:
+    def _mark(self, view: ViewState, cell: Point, branch: FollowedBranch, position: BranchPosition) -> None:
         """Mark an orbit over the plane if it lies in that plane."""
-        values = self._subject.values(*cell) | {branch.table.along: here.value}
+        values = self._subject.values(*cell) | {branch.table.along: position.value}
         inside = all(values[name] == value for name, value in view.plane.parameters)
         names = zip(self._marker.data, self._subject.axes, strict=True)
         marker = {name: [values[axis]] if inside else [] for name, axis in names}
         drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
-        for k, arrow in enumerate(arrows(branch, here, self._subject, view, cell) if inside else ()):
+        for k, arrow in enumerate(arrows(branch, position, self._subject, view, cell) if inside else ()):
             ends = arrow.x0, arrow.y0, arrow.x1, arrow.y1
             for name, value in zip(_COLUMNS, (*ends, *label_of(arrow, k, view.x)), strict=True):
                 drawn[name].append(value)

@@ -60,15 +60,15 @@ class MotionPanel:
         paths = motions.values()
         self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
 
-    def show(self, own: MotionPlotData) -> None:
+    def show(self, motion: MotionPlotData) -> None:
         """Show the cell's own motion, which a button sets in motion."""
         if len(self._paths.data["xs"]) < 2:  # otherwise the portraits of all attractors are already shown
-            self.portray({0: own})
-        y, v, *masses = own.moving
+            self.portray({0: motion})
+        y, v, *masses = motion.moving
         self._path.data = {"y": y, "v": v} | {f"q{k:02}": q for k, q in enumerate(masses)}
         self._here.data = {"now_y": [y[0]], "now_v": [v[0]]}
         self._machine.data = {"at": [q[0] for q in masses], "lane": list(range(len(masses)))}
-        count, lane = len(own.stops), own.lane or 0
-        self._stops.data = {"stop": own.stops, "low": [lane - 0.4] * count, "high": [lane + 0.4] * count}
-        self._pace.data = {"per_period": [own.per_period]}
+        count, lane = len(motion.stops), motion.lane or 0
+        self._stops.data = {"stop": motion.stops, "low": [lane - 0.4] * count, "high": [lane + 0.4] * count}
+        self._pace.data = {"per_period": [motion.per_period]}
         self.panel.visible = True

@@ -67,10 +67,10 @@ class Panel(Generic[A]):
         """Call ``work`` in a thread of the page, then call the function that it returns in the document's thread."""
         turns, show_result = self._turns, self._current(_do)
 
-        def whole() -> Show:
+        def prepare_result() -> Show:
             return partial(show_result, work()) if turns == self._turns else lambda: None
 
-        self._background.run(whole, self._current(self.show_error))
+        self._background.run(prepare_result, self._current(self.show_error))
 
     def progress_callback(self) -> Callable[[Show], None]:
         """Return a function with which ``work`` shows intermediate results from its own thread.

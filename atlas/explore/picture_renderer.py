@@ -71,7 +71,7 @@ class PictureRenderer:
     deliver    called in the renderer's thread with each picture
     on_error   called in the renderer's thread with the reason why there is no picture
 
-    looked     number of times that cells were looked up
+    n_lookups  number of times that cells were looked up
     sight      viewport of the last look-up; None before the first
     """
 
@@ -88,7 +88,7 @@ class PictureRenderer:
         self._views, self._view = count(), 0
         self._sent: tuple[str, list[str], tuple[str, ...]] | None = None
         self._found: tuple[PlaneParameters, Viewport] | None = None
-        self.looked = 0
+        self.n_lookups = 0
         self.sight: Viewport | None = None
         explorer.subscribe(self, self._plan_repaint)
         self._thread = restarting_thread("atlas-painter", self._serve, self._mistaken)
@@ -181,7 +181,7 @@ class PictureRenderer:
         if picture is None:
             return
         (view, size), explorer = picture, self._explorer
-        self.looked += 1
+        self.n_lookups += 1
         sight = explorer.subject.viewport(view.x, view.y, size)
         if (view.plane, sight) != self._found:
             self._view, self._found = next(self._views), (view.plane, sight)

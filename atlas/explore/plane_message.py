@@ -51,9 +51,9 @@ def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
             yield coded_map(ds, ds, f"{NUMBER}{name}{LOGARITHM}")
 
 
-def ends_of(made: CodedMap) -> Range | None:
+def ends_of(plane_map: CodedMap) -> Range | None:
     """Return the colour limits of a map; None if it has none."""
-    bar = made.layers.bar
+    bar = plane_map.layers.bar
     return None if bar is None else bar.ends
 
 
@@ -109,15 +109,15 @@ def _plane(visible: VisibleCells, subject: Subject) -> Plane:
 
 
 def _lines(
-    visible: VisibleCells, subject: Subject, chosen: ViewState, size: tuple[int, int]
+    visible: VisibleCells, subject: Subject, view_state: ViewState, size: tuple[int, int]
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]], list[str]]:
     """Return the chosen overlays, the arrays that they need, and why some are missing."""
-    why = chosen.without_curves(subject)
+    why = view_state.without_curves(subject)
     drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
     view = MapView(KIND_TABLE["period"], visible.ds, _plane(visible, subject), PictureRequest(STANDARD))
-    for name in chosen.overlays:
+    for name in view_state.overlays:
         drawn[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
-        if name not in chosen.visible_overlays(subject):
+        if name not in view_state.visible_overlays(subject):
             continue
         try:
             lines = lines_over(view, name, size)

@@ -266,10 +266,10 @@ class Subject:
         values = lattice.values(level, cells.index)
         return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE_CELLS))
 
-    def grid(self, plane: PlaneParameters, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> GridPatch:
+    def grid(self, plane: PlaneParameters, x: Iterable[float], y: Iterable[float], mask_bits: bytes = b"") -> GridPatch:
         """Return the patch of cells of a plane at these values of the axes."""
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
-        return GridPatch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
+        return GridPatch(self.system, dict(plane.parameters), self.settings, across, up, mask_bits)
 
     def patch(self, plane: PlaneParameters, key: TileKey, missing: NDArray[np.bool_]) -> GridPatch:
         """Return the patch of the missing cells (y, x) of a tile."""

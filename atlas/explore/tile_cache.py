@@ -77,7 +77,7 @@ class TileCache:
             lambda along, level, number: bool(subject.valid_mask(along, level, number, 1).any())
         )
         self._done: NDArray[np.bool_] | None = None
-        self._looked, self._complete = float("-inf"), False
+        self._listed_at, self._complete = float("-inf"), False
 
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
         """Return True if a tile need not be solved."""
@@ -133,12 +133,12 @@ class TileCache:
         return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
     @property
-    def looked(self) -> float:
+    def listed_at(self) -> float:
         """Time at which finished tiles of the atlas were last listed, by ``time.monotonic``; constant once all are
         finished.
         """
         self.atlas_done()
-        return self._looked
+        return self._listed_at
 
     def atlas_done(self) -> NDArray[np.bool_] | None:
         """Return the mask (y, x) of the solved cells of the atlas; None if there is no atlas.
@@ -149,8 +149,8 @@ class TileCache:
         subject = self.subject
         if subject.ds is None or subject.store is None:
             return None
-        if time.monotonic() - self._looked > RELIST_SECONDS and not self._complete:
-            self._looked = time.monotonic()
+        if time.monotonic() - self._listed_at > RELIST_SECONDS and not self._complete:
+            self._listed_at = time.monotonic()
             tiling = subject.store.tiling
             solved = np.zeros(tiling.shape, dtype=bool)
             for index in done_tiles(subject.store):

@@ -86,7 +86,12 @@ class StoredOrbits:
             yield places, [orbit for index in places if (orbit := orbits[index]) is not None]
 
     def continue_orbits(
-        self, orbits: list[Orbit], here: Array, there: Array, steps: int = 1, attracting: bool = False
+        self,
+        orbits: list[Orbit],
+        from_parameters: Array,
+        to_parameters: Array,
+        steps: int = 1,
+        attracting: bool = False,
     ) -> OrbitBatch:
         """Return orbits of one itinerary, continued from parameters (N, axes) to others by Newton's method in equal
         steps.
@@ -94,10 +99,10 @@ class StoredOrbits:
         The mask ``converged`` of the result marks orbits that are found, and with ``attracting`` also attract there. It
         is False throughout if one of the orbits has no machine on the way.
         """
-        reached = start = many_of(orbits, here)
+        reached = start = many_of(orbits, from_parameters)
         try:
             for share in np.arange(1, steps + 1) / steps:
-                reached = continued_to(self.family, reached, (1.0 - share) * here + share * there)
+                reached = continued_to(self.family, reached, (1.0 - share) * from_parameters + share * to_parameters)
             return reached._replace(converged=attract(self.family, reached)) if attracting else reached
         except (NoOscillatorError, ValueError):
             return start._replace(converged=np.zeros(len(orbits), dtype=np.bool_))

@@ -83,7 +83,7 @@ class Pyramid:
         self.handle, self._store = handle, GuardedStore(handle)
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(data or handle.backend.get(f"{GROUP}/{ROOT}"))
-        self.made = stored is not None
+        self.exists = stored is not None
         shapes = stored or {"side": side, "least": minimum}
         self.levels = OverviewLevels(
             handle.spec.shape,
@@ -138,7 +138,7 @@ class Pyramid:
 
     def create(self) -> None:
         """Create the groups of all levels, without values, unless they exist."""
-        if self.made:
+        if self.exists:
             return
         backend, top = self.handle.backend, f"{GROUP}/{ROOT}"
         drop_overviews(self.handle)
@@ -147,7 +147,7 @@ class Pyramid:
         backend.put_all({key: data for key, data in objects.items() if key != top})
         backend.put(top, objects[top])
         write_root(self.handle)  # xarray finds a level by the root's copy
-        self.made = True
+        self.exists = True
 
     def layout(self) -> dict[str, bytes]:
         """Return all metadata and coordinates of overviews, by key."""
@@ -192,7 +192,7 @@ class Pyramid:
 
         Return False if the chunk needs other tiles.
         """
-        if not (self.made and self.levels.is_alone_under_chunk(tile)):
+        if not (self.exists and self.levels.is_alone_under_chunk(tile)):
             return False
         names = [variable.name for variable in self.variables]
         stored = {v.name: np.asarray(arrays[v.name], dtype=v.dtype) for v in self.handle.variables if v.name in names}
@@ -220,7 +220,7 @@ class Pyramid:
     def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> int:
         """Drop chunks, given as pairs (level, index), and all chunks over them; return the number of dropped chunks."""
         requested, dropped = set(chunks), set[tuple[int, Index]]()
-        if not requested or not self.made:
+        if not requested or not self.exists:
             return 0
         over: set[Index] = set()
         for level in range(1, self.levels.count + 1):

@@ -88,5 +88,5 @@ def _states(part: StoreBlock, codes: Collection[int]) -> NDArray[np.int64]:
     )
     states[~known] = _MIXED
     states[part.records.tiles_without(codes)] = _NOTHING
-    states[~part.done] = PENDING if PENDING in codes else _NOTHING
+    states[~part.finished_mask] = PENDING if PENDING in codes else _NOTHING
     return states

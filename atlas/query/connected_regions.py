@@ -101,12 +101,12 @@ class _RegionAxis:
 class _Regions:
     """Labelled regions of the selected cells.
 
-    by      result that classifies the cells
-    sides   axes of the regions, by dimension
-    labels  label of each cell, with all dimensions rising; 0 for none
-    values  class of each region
-    areas   area of each region
-    beside  labels of the regions with a pending neighbour cell
+    by                 result that classifies the cells
+    sides              axes of the regions, by dimension
+    labels             label of each cell, with all dimensions rising; 0 for none
+    values             class of each region
+    areas              area of each region
+    labels_at_pending  labels of the regions with a pending neighbour cell
     """
 
     by: str
@@ -114,7 +114,7 @@ class _Regions:
     labels: NDArray[np.int32]
     values: list[Any]
     areas: NDArray[np.float64]
-    beside: set[int]
+    labels_at_pending: set[int]
 
     def as_given(self) -> NDArray[np.int32]:
         """Return the labels in the order of the dataset's own axes."""
@@ -140,7 +140,7 @@ class _Regions:
                 "centre": {side.name: float(centres[i][k]) for i, side in along},
                 "cell": {side.name: float(side.points[nearest[k][i]]) for i, side in along},
                 "box": {side.name: side.span(boxes[k][i]) for i, side in along},
-                "cut": [*self._cut(boxes[k]), *(["pending cells"] if k + 1 in self.beside else [])],
+                "cut": [*self._cut(boxes[k]), *(["pending cells"] if k + 1 in self.labels_at_pending else [])],
             })  # fmt: skip
         return listed
 

@@ -313,12 +313,12 @@ def _frequency(ds: "xr.Dataset") -> str:
 
 
 def _areas_of_cells(
-    shown: "xr.Dataset", whole: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]
+    selection: "xr.Dataset", ds: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]
 ) -> dict[int, float]:
-    """Return the area of each regime from the cells ``shown``, with the cell widths of ``whole``."""
-    names = axis_names(whole)
-    widths = {name: cell_widths(whole, name)[cells[name]] for name in names}
-    codes = shown[REGIME.name].values
+    """Return the area of each regime from the cells of ``selection``, with the cell widths of ``ds``."""
+    names = axis_names(ds)
+    widths = {name: cell_widths(ds, name)[cells[name]] for name in names}
+    codes = selection[REGIME.name].values
     first, area = PENDING, np.zeros(len(REGIME.codes))
     # One row at a time: weights of a whole plane would take eight times the memory of its regimes.
     heights = reduce(np.multiply.outer, [widths[name] for name in reversed(names[1:])], np.ones(1)).ravel()

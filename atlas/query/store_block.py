@@ -128,9 +128,9 @@ class StoreBlock:
         return TileRecords(self.handle)
 
     @property
-    def done(self) -> NDArray[np.bool_]:
+    def finished_mask(self) -> NDArray[np.bool_]:
         """The mask of finished tiles, as an array over the tiles of the store."""
-        return self.records.done
+        return self.records.finished_mask
 
     def required_variables(self, names: Iterable[str]) -> list[str]:
         """Return all variables that are needed to coarsen these."""
@@ -140,7 +140,8 @@ class StoreBlock:
         """Return the indices of the unfinished tiles below a piece of a level."""
         tiles = self.pyramid.levels.tiles_below(level, piece)
         return [
-            tuple(s.start + i for s, i in zip(tiles, at, strict=True)) for at in np.argwhere(~self.done[tiles]).tolist()
+            tuple(s.start + i for s, i in zip(tiles, at, strict=True))
+            for at in np.argwhere(~self.finished_mask[tiles]).tolist()
         ]
 
     def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
@@ -156,7 +157,7 @@ class StoreBlock:
         arrays, missing = self.read_stored(level, piece, requested)
         for block in missing:
             at = relative_slices(piece, block)
-            if self.done[self.pyramid.levels.tiles_below(level, block)].any():
+            if self.finished_mask[self.pyramid.levels.tiles_below(level, block)].any():
                 computed = self._compute(level, block, requested)
                 for name in requested:
                     arrays[name][at] = computed[name]
@@ -167,7 +168,7 @@ class StoreBlock:
     def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
         """Read stored variables of a piece of a level; also return its blocks that must not be used."""
         blocks = list(self._blocks(level, piece))
-        if not self.pyramid.made:
+        if not self.pyramid.exists:
             return self._pending(piece, names), blocks
         mark = next(mark.name for mark in MARKS if mark.name in names)
         try:
@@ -218,7 +219,7 @@ class StoreBlock:
     def _is_current(self, level: int, block: Slices, marks: NDArray[Any]) -> bool:
         """Return True if the overview has all of a block, and every tile below the block is still finished."""
         tiles = self.pyramid.levels.tiles_below(level, block)
-        return not (marks == PENDING).any() and bool(self.done[tiles].all())
+        return not (marks == PENDING).any() and bool(self.finished_mask[tiles].all())
 
     def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
         """Yield the piece cut along chunk borders."""

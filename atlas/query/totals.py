@@ -41,7 +41,7 @@ class StoreTotals:
         levels, cells = self.part.pyramid.levels, self.part.cells
         complete, met = np.zeros_like(known), np.zeros_like(known)
         within, below = levels.tiles_within(0, cells), levels.tiles_below(0, cells)
-        complete[within], met[below] = known[within], self.part.done[below]
+        complete[within], met[below] = known[within], self.part.finished_mask[below]
         by_reason = self.part.records.columns(BY_REASON)
         none = known & (by_reason[..., NO_REASON] == by_reason.sum(axis=-1))
         total = by_reason[complete].sum(axis=0).astype(np.int64)
@@ -55,7 +55,7 @@ class StoreTotals:
     @cached_property
     def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
         """Areas of tiles by regime, and the mask of tiles where they are known. Unfinished tiles are all pending."""
-        areas, pending = self.part.records.columns(AREAS).copy(), ~self.part.done
+        areas, pending = self.part.records.columns(AREAS).copy(), ~self.part.finished_mask
         areas[pending, PENDING_SHARE] = _tile_areas(self.part.handle)[pending]
         return areas, self.part.records.known_mask | pending
 

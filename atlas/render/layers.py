@@ -39,12 +39,12 @@ class MapView:
     kind: PictureKind
     ds: xr.Dataset
     plane: Plane
-    wanted: PictureRequest
+    request: PictureRequest
 
     @property
     def page(self) -> FigureLayout:
         """The layout of the figure."""
-        return self.wanted.page
+        return self.request.page
 
 
 @dataclass(frozen=True)

@@ -175,17 +175,17 @@ class FigureLayout:
         if self.vmin is not None or self.vmax is not None:
             raise InputError(f"{reason}: there are no colour limits for vmin and vmax to set")
 
-    def legend(self, fig: Figure, entries: Sequence[Artist], beside: str | None = None, **style: Any) -> None:
-        """Draw a legend under the plots in as many columns as fit, or to the right if ``beside`` is a title or "".
+    def legend(self, fig: Figure, entries: Sequence[Artist], side_title: str | None = None, **style: Any) -> None:
+        """Draw a legend under the plots in as many columns as fit, or to the right if ``side_title`` is a title or "".
 
         Narrow figures have the legend below. There is no legend without entries, or with ``explained`` False. A long
         legend extends a figure of default height instead of shrinking the plot.
         """
         if not (entries and self.explained):
             return
-        aside = beside is not None and (self.has_side_legend or bool(self.axes))
-        if beside:
-            style |= {"title": beside if aside else beside.replace("\n", " "), "alignment": "left"}
+        aside = side_title is not None and (self.has_side_legend or bool(self.axes))
+        if side_title:
+            style |= {"title": side_title if aside else side_title.replace("\n", " "), "alignment": "left"}
         if aside:
             drawn_legend = self._one_legend(fig, entries, True, {"labelspacing": 0.45, **style})
             self._grow(fig, drawn_legend.get_window_extent().height - fig.bbox.height + 0.1 * fig.dpi)
@@ -338,28 +338,28 @@ _OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.
 _SIZES = tuple(name for name in rc_params(1.0) if name.endswith("size"))
 
 
-def _style(chosen: str | Path | None) -> dict[str, Any]:
+def _style(style: str | Path | None) -> dict[str, Any]:
     """Return the settings of a style, without those of windows and of the figure's layout."""
-    if chosen is None:
+    if style is None:
         return {}
-    if not isinstance(chosen, str | os.PathLike):
+    if not isinstance(style, str | os.PathLike):
         right = f"must be a style of matplotlib, {CURRENT!r} or the path of a file"
-        raise InputError(f"style: found {brief_repr(chosen)}, {right}")
+        raise InputError(f"style: found {brief_repr(style)}, {right}")
     settings: Any
-    if str(chosen) == CURRENT:
+    if str(style) == CURRENT:
         of_all: Any = mpl.rcParams
         with drawing_context():
             settings = {name: of_all[name] for name, usual in defaults().items() if of_all[name] != usual}
-    elif str(chosen) in mpl_style.library:
-        settings = mpl_style.library[str(chosen)]
+    elif str(style) in mpl_style.library:
+        settings = mpl_style.library[str(style)]
     else:
-        if os.path.exists(chosen) and not os.path.isfile(chosen) and not os.path.isdir(chosen):
-            raise InputError(f"style {chosen}: not a regular file")  # reading a device or a pipe may never end
+        if os.path.exists(style) and not os.path.isfile(style) and not os.path.isdir(style):
+            raise InputError(f"style {style}: not a regular file")  # reading a device or a pipe may never end
         try:
-            settings = mpl.rc_params_from_file(chosen, use_default_template=False)
+            settings = mpl.rc_params_from_file(style, use_default_template=False)
         except (OSError, UnicodeDecodeError) as error:
             why = getattr(error, "strerror", None) or error
-            raise InputError(f"style {chosen}: neither a style of matplotlib nor a readable file: {why}") from None
+            raise InputError(f"style {style}: neither a style of matplotlib nor a readable file: {why}") from None
     layout = ("figure.autolayout", "figure.constrained_layout.use", "savefig.bbox", "savefig.format", "backend")
     return {name: settings[name] for name in settings if name not in layout and not name.startswith("figure.subplot")}
 

@@ -27,13 +27,13 @@ LABEL_SIZE = 7.5
 
 def draw_layers(view: MapView, layers: MapLayers) -> Figure:
     """Return the map of a view as a figure, with its overlays."""
-    request, page, layers = view.wanted, view.page, with_legend_notes(layers, view.ds)
+    request, page, layers = view.request, view.page, with_legend_notes(layers, view.ds)
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(view.ds))
         entries = [*lay(ax, view.plane, layers, page), *overlays.draw(ax, view)]
         if layers.bar is not None:
             scalar_maps.draw_bar(drawn, [ax], layers.bar, page)
-        page.legend(drawn, entries, beside=layers.side_legend_title)
+        page.legend(drawn, entries, side_title=layers.side_legend_title)
         if layers.names and request.names:
             page.finalize(drawn)
             name_regions(ax, view.plane, layers.names, LABEL_SIZE * page.scale)

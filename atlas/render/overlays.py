@@ -57,7 +57,7 @@ def draw(ax: Axes, view: MapView) -> list[Artist]:
     """Draw overlays over a map and return their legend entries. Raise OverlayError for one that cannot be drawn."""
     entries: list[Artist] = []
     for name, lines in DRAW.items():
-        if name in view.wanted.overlays:
+        if name in view.request.overlays:
             try:
                 entries += lines(ax, view)
             except InputError as error:
@@ -113,7 +113,7 @@ def requested_curves(view: MapView, who: str) -> list[Curve]:
     if stored.axes != axis_names(view.ds):
         axes = ", ".join(axis_names(view.ds))
         raise InputError(f"{who}: curves over {', '.join(stored.axes)}, found a map of {axes}")
-    return [curve for curve in stored if view.wanted.curves is None or curve.kind in view.wanted.curves]
+    return [curve for curve in stored if view.request.curves is None or curve.kind in view.request.curves]
 
 
 def draw_curves(ax: Axes, curves: list[Curve], view: MapView) -> list[Artist]:
@@ -141,7 +141,7 @@ def draw_curves(ax: Axes, curves: list[Curve], view: MapView) -> list[Artist]:
         ax.add_collection(drawn, autolim=False)
         legend_look: Any = {"color": look.color, "linestyle": look.dashes, "label": look.label}
         entries.append(Line2D([], [], linewidth=_WIDTHS[False], path_effects=halo, **legend_look))
-    if view.wanted.curves is None or "codimension_two" in view.wanted.curves:
+    if view.request.curves is None or "codimension_two" in view.request.curves:
         corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
         corners = [corner for corner in corners if ax.viewLim.contains(*corner[1:])]
         size_of_all = _MARK * scale * float(np.clip(np.sqrt(_FEW / max(len(corners), 1)), _SMALLEST, 1.0))

@@ -122,19 +122,19 @@ def _shown(orbit: CellTrajectory, row: Array) -> PortraitCoordinate:
     return PortraitCoordinate(row, labels[0], labels[1], stops)
 
 
-def _history(ax: Axes, orbit: CellTrajectory, shown: PortraitCoordinate) -> None:
+def _history(ax: Axes, orbit: CellTrajectory, coordinate: PortraitCoordinate) -> None:
     count = selection.periods(orbit)
     times, states = selection.path(orbit, count)
-    values, _ = shown.project(states)
+    values, _ = coordinate.project(states)
     ax.plot(times / orbit.unit, values, color=LINE, linewidth=0.9)
-    for stop in shown.stops:
+    for stop in coordinate.stops:
         ax.axhline(stop, **_STOP)
     for side in IMPACTS:
         at = selection.impact_times(orbit, side, count)
         _mark_impacts(ax, side, at / orbit.unit, np.interp(at, times, values))
     ax.set_xlim(0.0, count * orbit.period / orbit.unit)
     ax.margins(y=0.12)
-    ax.set_ylabel(shown.label)
+    ax.set_ylabel(coordinate.label)
 
 
 def _zoom(ax: Axes, orbit: CellTrajectory, chatter: slice) -> None:
@@ -156,19 +156,19 @@ def _mark_impacts(ax: Axes, side: float, at: Array, values: Array) -> None:
 
 
 def _phase_plane(
-    ax: Axes, orbit: CellTrajectory, shown: PortraitCoordinate, other: PortraitCoordinate | None = None
+    ax: Axes, orbit: CellTrajectory, coordinate: PortraitCoordinate, other: PortraitCoordinate | None = None
 ) -> None:
     """Draw a displacement against its velocity, or two displacements against each other."""
-    across, rate = shown.project(orbit.states)
+    across, rate = coordinate.project(orbit.states)
     up = other.project(orbit.states)[0] if other else rate
     closed = bool(orbit.cell["period"])
     ax.plot(across, up, color=LINE, linewidth=0.9 if closed else 0.25, alpha=1.0 if closed else 0.75)
-    for stop in shown.stops:
+    for stop in coordinate.stops:
         ax.axvline(stop, **_STOP)
     for stop in other.stops if other else ():
         ax.axhline(stop, **_STOP)
-    ax.set_xlabel(shown.label)
-    ax.set_ylabel(other.label if other else shown.rate, labelpad=1.0)
+    ax.set_xlabel(coordinate.label)
+    ax.set_ylabel(other.label if other else coordinate.rate, labelpad=1.0)
 
 
 def _section(ax: Axes, orbit: CellTrajectory) -> None:

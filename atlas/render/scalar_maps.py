@@ -88,9 +88,9 @@ def scalar(view: MapView) -> MapLayers:
     Without a logarithmic norm there are two ranges of colours around zero. Cells without such a number are NEUTRAL,
     with a hatch for -inf. Raise InputError for a logarithmic norm of negative numbers.
     """
-    plane, name = view.plane, str(view.wanted.variable)
+    plane, name = view.plane, str(view.request.variable)
     scale, meant, regime = kinds.SCALES.get(name, kinds.NUMBERS), variable_of(view.ds, name), plane.regime
-    log, label = scale.log or view.wanted.log, scale.label or text.variable_label(view.ds, name)
+    log, label = scale.log or view.request.log, scale.label or text.variable_label(view.ds, name)
     counted = plane.determined_mask | (scale.undetermined & (regime == UNDETERMINED))
     values = np.where(counted & np.isin(regime, list(meant.regimes)), plane[name], np.nan).astype(np.float64)
     values[meant.allows_infinite & (values < 0.0)] = np.nan  # sticking orbits have infinitely many impacts

@@ -59,7 +59,7 @@ def figure(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """Return the sweep as a figure, each panel if the atlas has its variable. Raise InputError if the atlas has
     neither.
     """
-    return _of_one(ds, request, dict.fromkeys(held([LARGEST.name], ds), _draw_largest))
+    return _of_one(ds, request, dict.fromkeys(names_with_values([LARGEST.name], ds), _draw_largest))
 
 
 def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
@@ -81,7 +81,7 @@ def _of_one(
     if not panels:
         raise InputError("kind 'sweep' needs 'section' or 'largest', and this atlas has neither; see section_samples")
     more = () if plotted_values is None else plotted_values.reads
-    errors = held([ERROR.name], ds) if LARGEST.name in panels else []  # other atlases may lack error bars
+    errors = names_with_values([ERROR.name], ds) if LARGEST.name in panels else []  # other atlases may lack error bars
     read = line(ds, [*panels, *more, *errors])
     regimes = [] if [*panels] == [SPECTRUM.name] else regime_legend(read[0][REGIME.name].values, read[0])
     notes = [] if plotted_values is None else plotted_values.notes(read[0])
@@ -98,7 +98,7 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     check_same_axis(ds, against)
     atlases = (ds, against)
     plotted_values = PlottedValues.resolve(request.observe, *atlases)
-    names = ([] if plotted_values is None else [plotted_values.name]) + held([LARGEST.name], *atlases)
+    names = ([] if plotted_values is None else [plotted_values.name]) + names_with_values([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' needs 'section' or 'largest' in both atlases; found neither in both")
     (first, x), (second, _) = (
@@ -130,7 +130,7 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
         raise InputError("kind 'coexistence' needs all attractors, and this atlas has one per cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
     plotted_values = PlottedValues.resolve(request.observe, ds)
-    names = held([LARGEST.name], ds) if plotted_values is None else [plotted_values.name]
+    names = names_with_values([LARGEST.name], ds) if plotted_values is None else [plotted_values.name]
     panels = {name: _panel_of_attractors(name, known, plotted_values) for name in names} | {
         "share": _panel_of_shares(known)
     }
@@ -166,7 +166,7 @@ def figure_of_branches(branches: "BranchTable", layout: FigureLayout = STANDARD)
     return drawn
 
 
-def held(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
+def names_with_values(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
     """Return those variables that all of the atlases have, with values."""
     return [name for name in names if all(name in atlas and atlas[name].size for atlas in atlases)]
 
@@ -186,30 +186,30 @@ def stack(
     panels: Mapping[str, Panel],
     legend: Sequence[Artist],
     request: PictureRequest,
-    shown: PlottedValues | None = None,
+    plotted_values: PlottedValues | None = None,
 ) -> Figure:
     """Return a figure with panels over one shared axis, under the title line of the fixed parameters.
 
-    The overlay of branches is drawn over the section. ``shown`` is drawn by the first panel.
+    The overlay of branches is drawn over the section. ``plotted_values`` are drawn by the first panel.
     """
     page, (cells, x), (least, share) = request.page, read, _HEIGHT[len(panels)]
     branches = None
     if "branches" in request.overlays:
         sweeps = [select_dominant(ds), *([] if request.against is None else [request.against])]
-        if shown is None:
+        if plotted_values is None:
             raise InputError("overlay 'branches' needs section values, and this atlas has none; see section_samples")
         from atlas.orbits.branches.from_sweep import tree_through  # imports Numba, which is slow
         from atlas.orbits.branches.table import BranchTable
 
-        branches = BranchTable.from_tree(tree_through(sweeps), shown.observable)
+        branches = BranchTable.from_tree(tree_through(sweeps), plotted_values.observable)
     with page.context():
         drawn, plots = page.panels(least + share * page.width, len(panels), text.title_line(ds))
         for ax, (name, panel) in zip(plots, panels.items(), strict=True):
             panel(ax, cells, x, page)
-            if shown is None or name != shown.name:
+            if plotted_values is None or name != plotted_values.name:
                 ax.set_ylim(page.vmin, page.vmax)
             else:
-                ax.set_ylabel(shown.label(ds))
+                ax.set_ylabel(plotted_values.label(ds))
                 legend = [*legend, *(draw_branches(ax, branches, page) if branches else [])]
             raster.scale_axes(ax, ax is plots[-1], x=x)
         drawn.align_ylabels(plots)
@@ -217,11 +217,11 @@ def stack(
     return drawn
 
 
-def _panel_of_points(shown: PlottedValues) -> Panel:
+def _panel_of_points(plotted_values: PlottedValues) -> Panel:
     """Return the panel of section values, or of values of an observable."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
-        regime, values = ds[REGIME.name].values, shown.values(ds, x)
+        regime, values = ds[REGIME.name].values, plotted_values.values(ds, x)
         for code in np.unique(regime[regime != PENDING]):
             least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
             draw_points(ax, x, values, style.INK[int(code)], point_size(x, least, layout), cells=regime == code)
@@ -257,14 +257,14 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout)
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 
-def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedValues | None) -> Panel:
+def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: PlottedValues | None) -> Panel:
     """Return the panel of section values, an observable or exponents of every attractor; larger shares lie on top."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             attractor = ds.isel({ATTRACTOR: k})
-            size = point_size(x, (1.0 if shown is None else 0.6) * _POINT, layout)
-            values = _values(attractor, x, name, shown)
+            size = point_size(x, (1.0 if plotted_values is None else 0.6) * _POINT, layout)
+            values = _values(attractor, x, name, plotted_values)
             for cells, color in _groups(attractor, known):
                 draw_points(ax, x, values, color, size, "o", cells=cells)
         ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
@@ -296,10 +296,10 @@ def _panel_of_shares(known: xr.Dataset | None) -> Panel:
     return draw
 
 
-def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Yield masks of cells with an attractor of one colour, and that colour; ``here`` has one attractor per cell."""
-    regime = here[REGIME.name].values
-    label = here[LABEL.name].values if known is not None else np.full(regime.shape, -1)
+def _groups(attractor: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArray[np.bool_], str]]:
+    """Yield masks of cells with an attractor of one colour, and that colour; ``attractor`` has one per cell."""
+    regime = attractor[REGIME.name].values
+    label = attractor[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
         yield (regime == code) & (label < 0), style.INK[int(code)]
     colors = np.array(class_maps.branch_colors(known, ink=True) if known is not None else [], dtype=str)
@@ -360,9 +360,13 @@ def draw_points(
     ax.plot(at[mask], values[mask], marker, **look)
 
 
-def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedValues | None) -> Array:
+def _values(ds: xr.Dataset, x: PlaneAxis, name: str, plotted_values: PlottedValues | None) -> Array:
     """Return the values of a variable along a sweep, or the plotted values of each cell."""
-    return np.asarray(ds[name].values) if shown is None or name != shown.name else shown.values(ds, x)
+    return (
+        np.asarray(ds[name].values)
+        if plotted_values is None or name != plotted_values.name
+        else plotted_values.values(ds, x)
+    )
 
 
 def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:

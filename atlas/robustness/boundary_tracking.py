@@ -106,13 +106,13 @@ def _same(one: Saddle, other: Saddle) -> bool:
 class _Tracker:
     """Tracks the boundary of one attractor's basin."""
 
-    def __init__(self, table: AttractorTable, own: int, weights: Array) -> None:
-        self.table, self.own, self.weights = table, own, weights
+    def __init__(self, table: AttractorTable, label: int, weights: Array) -> None:
+        self.table, self.label, self.weights = table, label, weights
         self.map = SectionMap(table.cell.oscillator)
 
     def inside(self, states: Array) -> NDArray[np.bool_]:
         """Return the mask of states (N, 2n) that reach the basin's attractor."""
-        return np.asarray(reached_labels(self.table, states) == self.own)
+        return np.asarray(reached_labels(self.table, states) == self.label)
 
     def size(self, deviation: Array) -> float:
         return float(np.linalg.norm(self.weights * deviation))
@@ -142,13 +142,13 @@ class _Tracker:
             return f"the motion on the boundary nearly recurs, but {tried} attempts found no saddle there"
         return f"found no orbit of up to {MAX_PERIOD} periods in {MAX_STEPS} on the boundary, which may be fractal"
 
-    def bisected(self, first: Array, last: Array, whole: float) -> Array:
+    def bisected(self, first: Array, last: Array, distance: float) -> Array:
         """Return two states (2, 2n), BRACKET apart, on the line from a state inside to a state outside.
 
         The boundary lies between them.
         """
         low, high, length = 0.0, 1.0, self.size(last - first)
-        while (high - low) * length > BRACKET * whole:
+        while (high - low) * length > BRACKET * distance:
             shares = np.linspace(low, high, PARTS + 1)
             if not np.all(np.diff(shares) > 0.0):
                 break
@@ -157,14 +157,14 @@ class _Tracker:
             low, high = float(shares[first_outside]), float(shares[first_outside + 1])
         return np.stack([first + low * (last - first), first + high * (last - first)])
 
-    def _recurs(self, history: list[Array], whole: float) -> int:
+    def _recurs(self, history: list[Array], distance: float) -> int:
         """Return the number of periods after which the motion has returned to its last state; 0 if it has not."""
         for period in range(1, min(MAX_PERIOD, len(history) - 1) + 1):
-            if self.size(history[-1] - history[-1 - period]) <= RECURRENCE_DISTANCE * whole:
+            if self.size(history[-1] - history[-1 - period]) <= RECURRENCE_DISTANCE * distance:
                 return period
         return 0
 
-    def orbit(self, state: Array, period: int, whole: float) -> Saddle | None:
+    def orbit(self, state: Array, period: int, distance: float) -> Saddle | None:
         """Return the saddle of this period, or of a divisor of it, next to a state, by Newton's method; None if there
         is none.
         """
@@ -178,13 +178,13 @@ class _Tracker:
                 break
             step = np.linalg.lstsq(jacobian - eye, z - last)[0]
             z = z + step
-            if self.size(z - state) > 100.0 * RECURRENCE_DISTANCE * whole:
+            if self.size(z - state) > 100.0 * RECURRENCE_DISTANCE * distance:
                 return None
         else:
             return None
         for turn in range(1, period):  # a rotating motion recurs after multiples of its orbit's period
             if period % turn == 0 and are_on_orbit(states[turn : turn + 1], z):
-                return self.orbit(z, turn, whole)
+                return self.orbit(z, turn, distance)
         multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
         if np.sum(np.abs(multipliers) > 1.0) != 1 or not_smooth(self.map.oscillator, states):
             return None

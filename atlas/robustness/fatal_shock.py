@@ -75,19 +75,19 @@ class FatalShock(NamedTuple):
 
 
 def minimal_fatal_shock(
-    reached: Reached, own: int, states: Array, weights: Array, known: Array, seed: int = 0, tries: int = 256
+    reached: Reached, label: int, states: Array, weights: Array, known: Array, seed: int = 0, tries: int = 256
 ) -> FatalShock | None:
     """Return the smallest fatal shock found; None if no known state reaches another attractor.
 
     reached         function that returns the label of the attractor that states reach
-    own             label of the attractor
+    label           label of the attractor
     states (p, 2n)  section states of the attractor
     weights (2n,)   weights of the norm
     known (K, 2n)   states from which another attractor is reached
     seed            seed of the random directions and of the ball
     tries           number of states in the ball that is tried last
     """
-    search = _ShockSearch(reached, own, states, weights, np.random.default_rng(seed))
+    search = _ShockSearch(reached, label, states, weights, np.random.default_rng(seed))
     best = search.nearest(known)
     if best is None:
         return None
@@ -101,8 +101,8 @@ def minimal_fatal_shock(
     return search.reported(best, tried)
 
 
-def shock_of(table: AttractorTable, own: int, weights: Array) -> FatalShock | None:
-    """Return the minimal fatal shock of the attractor with label ``own``; None if no other attractor is known.
+def shock_of(table: AttractorTable, label: int, weights: Array) -> FatalShock | None:
+    """Return the minimal fatal shock of the attractor with this label; None if no other attractor is known.
 
     The states known to reach another attractor are initial states of the table, and the section states of the other
     attractors.
@@ -110,12 +110,12 @@ def shock_of(table: AttractorTable, own: int, weights: Array) -> FatalShock | No
     count = max(CHAOS_STATES, *(attractor.period for attractor in table.attractors))
     sections = section_points(table, count)
     of_each = [points[: a.period or CHAOS_STATES] for a, points in zip(table.attractors, sections, strict=True)]
-    others = [k for k in range(len(of_each)) if k != own]
+    others = [k for k in range(len(of_each)) if k != label]
     if not others:
         return None
     starts = [table.states[0, table.attractors[k].starts] for k in others]
     known = np.concatenate([*(of_each[k] for k in others), *starts])
-    return minimal_fatal_shock(lambda states: reached_labels(table, states), own, of_each[own], weights, known)
+    return minimal_fatal_shock(lambda states: reached_labels(table, states), label, of_each[label], weights, known)
 
 
 def reached_labels(table: AttractorTable, states: Array) -> Labels:
@@ -151,8 +151,8 @@ class _Shocks(NamedTuple):
 
 
 class _ShockSearch:
-    def __init__(self, reached: Reached, own: int, states: Array, weights: Array, rng: np.random.Generator) -> None:
-        self.reached, self.own, self.states, self.weights, self.rng = reached, own, states, weights, rng
+    def __init__(self, reached: Reached, label: int, states: Array, weights: Array, rng: np.random.Generator) -> None:
+        self.reached, self.label, self.states, self.weights, self.rng = reached, label, states, weights, rng
 
     def at(self, phase: Labels, direction: Array, size: Array) -> Array:
         """Return the states (..., 2n) after the shocks."""
@@ -167,7 +167,7 @@ class _ShockSearch:
 
     def others(self, labels: Labels) -> NDArray[np.bool_]:
         """Return the mask of labels that are known to be those of another attractor."""
-        return ~np.isin(labels, (self.own, UNKNOWN_LABEL, NO_MOTION))
+        return ~np.isin(labels, (self.label, UNKNOWN_LABEL, NO_MOTION))
 
     def shocks_to(self, states: Array) -> _Shocks:
         """Return the shocks from the nearest section states to these states (K, 2n), the smallest first."""
@@ -233,7 +233,7 @@ class _ShockSearch:
         labels = self.labels(states)
         fatal = self.others(labels)
         if not np.any(fatal):
-            return None, int(np.sum(labels == self.own))
+            return None, int(np.sum(labels == self.label))
         sizes = size * np.linalg.norm(ball[fatal], axis=1)
         order = np.argsort(sizes, kind="stable")[:CANDIDATES]
         direction = ball[fatal] * (size / sizes)[:, None]

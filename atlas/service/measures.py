@@ -152,9 +152,9 @@ def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> di
     return requests
 
 
-def _still_true(stored: StoredMeasures, wanted: Mapping[str, Request]) -> StoredMeasures:
+def _still_true(stored: StoredMeasures, requests: Mapping[str, Request]) -> StoredMeasures:
     """Return the stored measures of the present cells."""
-    content = wanted[LINEAR]["content"]
+    content = requests[LINEAR]["content"]
     current_requests = {
         family: request for family, request in stored.requests.items() if request.get("content") == content
     }
@@ -185,7 +185,7 @@ class _MeasureRun:
     pool: WorkerPool[MeasureJob, PartReport]
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
-    done: int = 0
+    cells_done: int = 0
 
     def run(self, families: Mapping[str, str]) -> Arrays:
         """Return the measures of some families over all cells.
@@ -200,7 +200,7 @@ class _MeasureRun:
         }
         parts = [(family, *piece) for family in families for piece in pieces(handle, family)]
         self.cells = sum(last - first for *_, first, last in parts)
-        self.done = sum(last - first for _, name, _, first, last in parts if name in stored_parts)
+        self.cells_done = sum(last - first for _, name, _, first, last in parts if name in stored_parts)
         jobs = [
             MeasureJob((k,), name, family, tile, first, last, self.norm, self.pool.store_ref)
             for k, (family, name, tile, first, last) in enumerate(parts)
@@ -220,8 +220,8 @@ class _MeasureRun:
         return arrays
 
     def _count(self, report: PartReport) -> None:
-        self.done += report.cells
+        self.cells_done += report.cells
 
     def _progress(self) -> Progress:
-        stage = f"measuring: {self.done} of {plural(self.cells, 'cell')}"
-        return Progress(stage, cells=self.cells, cells_done=self.done)
+        stage = f"measuring: {self.cells_done} of {plural(self.cells, 'cell')}"
+        return Progress(stage, cells=self.cells, cells_done=self.cells_done)

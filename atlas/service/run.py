@@ -126,9 +126,9 @@ class _Run:
     def __init__(self, handle: AtlasStore, pool: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
         self.handle, self.pool, self.stage = handle, pool, "solving"
         self.stored = TileRecords(handle, done_tiles(handle))
-        self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
+        self.due, cells = ~self.stored.finished_mask, int(plan.tiling.sizes()[self.stored.finished_mask].sum())
         retried = handle.origin is not None and handle.origin.retry is not None
-        self.totals = RunTotals(plan, int(self.stored.done.sum()), cells, retried)
+        self.totals = RunTotals(plan, int(self.stored.finished_mask.sum()), cells, retried)
 
     def begin(self) -> None:
         """Report the progress of the store, and create the groups of its overviews."""
@@ -216,7 +216,7 @@ class _Run:
 
     def finish(self) -> None:
         """Build the overviews that no worker has built, and write the records of all tiles."""
-        self.overviews.finish(lambda done, of: self.report(f"writing overviews: {done} of {of} parts"))
+        self.overviews.finish(lambda written, total: self.report(f"writing overviews: {written} of {total} parts"))
         self.records.finish(lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
 
     def report(self, stage: str) -> None:

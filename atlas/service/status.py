@@ -212,14 +212,14 @@ class StatusReader:
         total, unknown = np.zeros(WIDTH), list[Index]()
         for block, rows in records.valid_blocks():
             total += rows.reshape(-1, WIDTH).sum(axis=0)
-            without = np.argwhere(records.done[block] & ~rows.any(axis=-1)) + [part.start for part in block]
+            without = np.argwhere(records.finished_mask[block] & ~rows.any(axis=-1)) + [part.start for part in block]
             unknown += [tuple(index) for index in without.tolist()]
         self.tiles_read += len(unknown)
         for row in count_tiles(self.handle, unknown):
             if isinstance(row, ChunkError):
                 raise row
             total += row
-        return StoreCounts(int(records.done.sum()), *counts_by_name(total))
+        return StoreCounts(int(records.finished_mask.sum()), *counts_by_name(total))
 
 
 def _token(seen: LeaseObservation | None) -> str:

@@ -51,10 +51,10 @@ Block = tuple[slice, ...]
 class TileRecords:
     """The tile records of a store at one moment, read at their first use.
 
-    done         mask (grid) of the finished tiles: those of ``listed``, by default from a listing of the store
-    known_mask   mask of the tiles with a valid row
-    damaged      faults of chunks of the table, by key
-    lost         tiles that are finished according to the table, but not by their chunks
+    finished_mask   mask (grid) of the finished tiles: those of ``listed``, by default from a listing of the store
+    known_mask      mask of the tiles with a valid row
+    damaged         faults of chunks of the table, by key
+    lost            tiles that are finished according to the table, but not by their chunks
 
     Reading rows sets the last two.
     """
@@ -65,7 +65,7 @@ class TileRecords:
         self._sizes, self._listed = handle.tiling.sizes(), listed
 
     @cached_property
-    def done(self) -> NDArray[np.bool_]:
+    def finished_mask(self) -> NDArray[np.bool_]:
         """See the class. The table is enough for a finished atlas on a server; otherwise a listing is needed."""
         if self.handle.backend.local is None and self._listed is None:
             checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
@@ -81,7 +81,7 @@ class TileRecords:
 
         Memory does not grow with the atlas.
         """
-        finished, self.lost = self.done, []
+        finished, self.lost = self.finished_mask, []
         for block, rows in self._blocks():
             valid = add_up(rows, self._sizes[block])
             begins = [part.start for part in block]
@@ -129,7 +129,7 @@ class RunTileRecords:
     """
 
     def __init__(self, handle: AtlasStore, records: TileRecords) -> None:
-        self._handle, self._rows, self._done = handle, records.columns().copy(), records.done.copy()
+        self._handle, self._rows, self._done = handle, records.columns().copy(), records.finished_mask.copy()
         grid, self._next = handle.tiling.grid, time.monotonic() + SAVE_SECONDS
         self._changed = {_block_index(index, grid) for index in records.lost}  # solved again, they may differ in bits
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)

@@ -143,16 +143,16 @@ def main() -> None:
     from numba.core import event
 
     class CompileCounter(event.Listener):
-        done, reported = 0, time.monotonic()
+        n_compiled, reported = 0, time.monotonic()
 
         def on_start(self, event: object) -> None:
             """Do nothing: a function is counted when its compilation ends."""
 
         def on_end(self, event: object) -> None:
-            self.done += 1
+            self.n_compiled += 1
             if time.monotonic() - self.reported >= TICK:
                 self.reported = time.monotonic()
-                print(self.done, flush=True)  # an error ends this process: the parent has ended
+                print(self.n_compiled, flush=True)  # an error ends this process: the parent has ended
 
     gc.set_threshold(YOUNG_OBJECTS)
     event.register("numba:compile", CompileCounter())

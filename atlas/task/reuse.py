@@ -22,12 +22,12 @@ from workers.results import PENDING, REGIME, empty_results
 class SharedPositions(NamedTuple):
     """Positions, along an axis, of the values that two atlases share bit for bit.
 
-    here    positions in the new atlas
-    there   positions in the old atlas
+    cells          positions in the new atlas
+    origin_cells   positions in the old atlas
     """
 
-    here: NDArray[np.intp]
-    there: NDArray[np.intp]
+    cells: NDArray[np.intp]
+    origin_cells: NDArray[np.intp]
 
 
 class ReusedCells(NamedTuple):
@@ -127,10 +127,10 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
     raise RunError(f"{trouble}; {handle.backend} copies cells from it: restore it, or {otherwise}")
 
 
-def count_shared(origin: AtlasStore, spec: Spec, done: set[tuple[int, ...]]) -> int:
+def count_shared(origin: AtlasStore, spec: Spec, finished_tiles: set[tuple[int, ...]]) -> int:
     """Return the number of finished cells of the origin in an extended atlas.
 
-    ``done`` are the origin's finished tiles.
+    ``finished_tiles`` are those of the origin.
     """
     counts = [
         np.bincount(positions // length, minlength=tiles)
@@ -138,4 +138,4 @@ def count_shared(origin: AtlasStore, spec: Spec, done: set[tuple[int, ...]]) -> 
             shared(origin.spec, spec), origin.tile, origin.tiling.grid, strict=True
         )
     ]
-    return sum(int(np.prod([count[i] for count, i in zip(counts, index, strict=True)])) for index in done)
+    return sum(int(np.prod([count[i] for count, i in zip(counts, index, strict=True)])) for index in finished_tiles)

@@ -120,10 +120,10 @@ def test_the_packaged_plane_is_seen_within_six_seconds_of_two_processors(client:
 def test_a_zoom_by_the_wheel_is_looked_up_once_it_rests(running: ExplorerSession, tab: Tab) -> None:
     settled(running, tab)
     painter = painter_of(running, tab)
-    before = painter.looked
+    before = painter.n_lookups
     zoomed(tab, 6)
     settled(running, tab)
-    assert painter.looked == before + 1
+    assert painter.n_lookups == before + 1
 
 
 def test_tiles_appear_from_the_centre_out(running: ExplorerSession, tab: Tab) -> None:

@@ -62,7 +62,7 @@ def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
     for k in range(6):
         painter.show(replace(view, x=(2.5 + 0.01 * k, 3.5)), SIZE)
     assert painter.is_busy and waited(lambda: not painter.is_busy)
-    assert painter.looked == 1
+    assert painter.n_lookups == 1
     assert came[-1].shares == (1.0, 1.0, 1.0, 1.0)
     steps = [picture.shares for picture in came]
     assert all(old <= new for one, other in pairwise(steps) for old, new in zip(one, other, strict=True))
@@ -84,7 +84,7 @@ def test_while_a_slider_moves_the_first_stage_alone_is_solved(
 
     assert waited(lambda: stages() == {STAGES}, 3.0)
     assert waited(lambda: stages() == set(range(STAGES + 1)) and not painter.is_busy)
-    assert painter.looked == 2
+    assert painter.n_lookups == 2
 
 
 def test_pictures_follow_each_other_no_faster_than_they_may(

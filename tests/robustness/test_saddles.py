@@ -137,7 +137,7 @@ def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
         boundary_tracking, "reached_labels", lambda table, states: (states[:, 1] > 0.0).astype(np.int64)
     )
     tracker = object.__new__(boundary_tracking._Tracker)
-    tracker.own, tracker.weights, tracker.map = 0, np.ones(2), Turning()  # type: ignore[assignment]
+    tracker.label, tracker.weights, tracker.map = 0, np.ones(2), Turning()  # type: ignore[assignment]
     tracker.table = None  # type: ignore[assignment]
     found = tracker.orbit(np.array([1.0003, 1e-9]), recurs, 1.0)
     assert found is not None and found.period == 1

@@ -63,10 +63,10 @@ def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> PackedArray:
     return PackedArray(stored_values.dtype.name, zlib.compress(planes.tobytes(), 6), bits)
 
 
-def add_codes(packed: dict[str, PackedArray], made: CodedMap) -> str:
+def add_codes(packed: dict[str, PackedArray], coded_map: CodedMap) -> str:
     """Add the codes of a map to the arrays, and return their name there: the name of an equal array if there is one."""
-    codes = pack(made.codes)
-    name = next((name for name, known in packed.items() if known.data == codes.data), f"map-{made.name}")
+    codes = pack(coded_map.codes)
+    name = next((name for name, known in packed.items() if known.data == codes.data), f"map-{coded_map.name}")
     packed.setdefault(name, codes)
     return name
 

@@ -16,9 +16,9 @@ LIVE = ("live.mjs", "keys.mjs", "widgets.mjs")
 TICKS = "return atlasPage.tickText(tick, base, unit, decimals)"
 
 
-def program(package: str, *own: str) -> str:
+def program(package: str, *names: str) -> str:
     """Return the shared modules and those of a package as one script, in which their exports are names."""
-    return "".join(_joined(text) for text in (*_texts(__package__, SHARED), *_texts(package, own)))
+    return "".join(_joined(text) for text in (*_texts(__package__, SHARED), *_texts(package, names)))
 
 
 def page_script() -> str:

@@ -226,9 +226,9 @@ class BranchTable:
     def _pattern(self) -> tuple[str, ...]:
         return (*_PATTERN, CYCLE_PERIOD.name) if self.system.definition.unforced else _PATTERN
 
-    def _pattern_values(self, point: "SolutionPoint", own: "Itinerary") -> tuple[Any, ...]:
+    def _pattern_values(self, point: "SolutionPoint", itinerary: "Itinerary") -> tuple[Any, ...]:
         """Return the values of ``_pattern``."""
-        return (*pattern(own), *[cycle_period(point, own)][: self.system.definition.unforced])
+        return (*pattern(itinerary), *[cycle_period(point, itinerary)][: self.system.definition.unforced])
 
     def _events(self) -> Iterator[tuple[Any, ...]]:
         from workers.continuation.equilibria import HOPF  # imports kernels, which pictures do without
@@ -288,7 +288,7 @@ def orbit_name(itinerary: "Itinerary", system: System) -> str:
     return ("cycle " if unforced else "") + motion_name(*counts) + (" symmetric" if symmetric else "")
 
 
-def modulus(point: "SolutionPoint", own: "Itinerary") -> float:
+def modulus(point: "SolutionPoint", itinerary: "Itinerary") -> float:
     """Return the largest modulus of the multipliers of an orbit over one repetition of an itinerary.
 
     The multipliers of a point are those of one turn, which is half of a symmetric orbit; the itinerary may repeat a
@@ -296,17 +296,17 @@ def modulus(point: "SolutionPoint", own: "Itinerary") -> float:
     out.
     """
     with np.errstate(over="ignore"):
-        return float(np.max(np.abs(point.multipliers), initial=0.0) ** _turns(point, own))
+        return float(np.max(np.abs(point.multipliers), initial=0.0) ** _turns(point, itinerary))
 
 
-def cycle_period(point: "SolutionPoint", own: "Itinerary") -> float:
+def cycle_period(point: "SolutionPoint", itinerary: "Itinerary") -> float:
     """Return the duration of a cycle over one repetition of an itinerary; NaN for other orbits."""
-    return float(point.orbit.length) * _turns(point, own)
+    return float(point.orbit.length) * _turns(point, itinerary)
 
 
-def _turns(point: "SolutionPoint", own: "Itinerary") -> float:
+def _turns(point: "SolutionPoint", itinerary: "Itinerary") -> float:
     """Return how many turns of a point's orbit make up one repetition of an itinerary."""
     turn = point.orbit.itinerary
-    if own.is_cycle:
-        return len(own.sides) * (1 + own.symmetric) / len(turn.sides)
-    return own.periods / turn.turn
+    if itinerary.is_cycle:
+        return len(itinerary.sides) * (1 + itinerary.symmetric) / len(turn.sides)
+    return itinerary.periods / turn.turn

@@ -47,7 +47,7 @@ class BorderSchedule:
         self.number = np.cumsum(has_region) - 1
         self.rank: NDArray[np.int64] = np.where(keys[has_region][:, 0] > 0, BETWEEN, BESIDE)
         self.fruitless = np.zeros(len(self.edges), dtype=np.int64)
-        self.looked = np.zeros(len(self.edges), dtype=np.int64)
+        self.n_searched = np.zeros(len(self.edges), dtype=np.int64)
 
     def choose(self, verdicts: NDArray[np.int64], room: int) -> list[int]:
         """Return at most ``room`` edges to search next: those of the most important borders, evenly spaced along each.
@@ -57,7 +57,7 @@ class BorderSchedule:
         choices = []
         for k, edges in enumerate(self.edges):
             rank, candidates = int(self.rank[k]), edges[verdicts[edges] == OPEN]
-            if not len(candidates) and not self.looked[k]:
+            if not len(candidates) and not self.n_searched[k]:
                 rank, candidates = BASINS, edges[verdicts[edges] == BASIN]
             if len(candidates) and (rank == BETWEEN or self._promising(k)):
                 choices.append((rank, -len(candidates), k, candidates))
@@ -65,18 +65,18 @@ class BorderSchedule:
         selected_edges: list[int] = []
         for rank, _, k, candidates in sorted(choices, key=lambda entry: entry[:3]):
             if rank == first:
-                count = min(len(candidates), EDGES_PER_BORDER if self.looked[k] else 1)
+                count = min(len(candidates), EDGES_PER_BORDER if self.n_searched[k] else 1)
                 selected_edges += candidates[(2 * np.arange(count) + 1) * len(candidates) // (2 * count)].tolist()
         return selected_edges[: max(0, min(EDGES_PER_STAGE, room))]
 
     def record_attempt(self, edge: int, fruitful: bool) -> None:
         """Record that an edge was searched; ``fruitful`` is True if events were found."""
         k = self.number[self.which[edge]]
-        self.looked[k] += 1
+        self.n_searched[k] += 1
         self.fruitless[k] += not fruitful
 
     def _promising(self, k: int) -> bool:
-        return bool(self.fruitless[k] < FRUITLESS or 2 * self.fruitless[k] < self.looked[k])
+        return bool(self.fruitless[k] < FRUITLESS or 2 * self.fruitless[k] < self.n_searched[k])
 
     def orders(self, edge: Cells) -> tuple[tuple[int, int], ...]:
         """Return the directions across an edge that start from cells of regions, from the shorter orbit with fewer
@@ -85,8 +85,8 @@ class BorderSchedule:
         plane = self.plane
         directions = [(int(a), int(b)) for a, b in (edge, edge[::-1]) if self.inside[a]]
 
-        def length(way: tuple[int, int]) -> tuple[int, int, bool]:
-            cell = way[0]
+        def length(direction: tuple[int, int]) -> tuple[int, int, bool]:
+            cell = direction[0]
             impacts = int(plane.impacts_upper[cell] + plane.impacts_lower[cell])
             return int(plane.period[cell]), impacts, not plane.symmetric[cell]
 

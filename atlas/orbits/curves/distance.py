@@ -55,7 +55,7 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
     return sorted(entries, key=lambda entry: float(entry["share"]))
 
 
-def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], here: NDArray[np.float64]) -> Orbit:
+def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], point: NDArray[np.float64]) -> Orbit:
     """Return the orbit of a cell, continued to a point near it."""
     x, y = (int(np.argmin(np.abs(v - cell[name]))) for v, name in zip((plane.x, plane.y), plane.axes, strict=True))
     number = y * len(plane.x) + x
@@ -63,28 +63,28 @@ def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], he
     cell_orbit = orbits.orbit_of_row(number)
     if cell_orbit is None:
         raise InputError(f"the cell at {where} is {cell['regime']}: events need a proven periodic orbit")
-    reached = orbits.continue_orbits([cell_orbit], plane.values(np.array([number])), here[None], attracting=True)
+    reached = orbits.continue_orbits([cell_orbit], plane.values(np.array([number])), point[None], attracting=True)
     if not reached.converged[0]:
         raise InputError(f"the orbit of the cell at {where} does not attract at the point; use the cell's point")
     return reached.orbit(0)
 
 
 def _first(
-    orbits: CellOrbits, orbit: Orbit, here: NDArray[np.float64], axis: int, end: float, kind: str | None
+    orbits: CellOrbits, orbit: Orbit, point: NDArray[np.float64], axis: int, end: float, kind: str | None
 ) -> Iterator[PlaneEvent]:
     """Yield the first event of a kind in the direction of a limit, if there is one."""
-    if here[axis] == end:
+    if point[axis] == end:
         return
 
-    def wanted(event: Event) -> bool:
+    def ends_search(event: Event) -> bool:
         return bounds_stability(event) and kind in (None, GRAZING if event.kind in LOST else event.kind)
 
-    events = events_towards(orbits, orbit, here, axis, end, RESOLUTION, wanted)
+    events = events_towards(orbits, orbit, point, axis, end, RESOLUTION, ends_search)
     yield from [event for event in events if kind in (None, event.kind)][:1]
 
 
-def _entry(plane: CurvePlane, axis: int, here: NDArray[np.float64], event: PlaneEvent) -> dict[str, Any]:
-    distance = float(event.values[axis] - here[axis])
+def _entry(plane: CurvePlane, axis: int, point: NDArray[np.float64], event: PlaneEvent) -> dict[str, Any]:
+    distance = float(event.values[axis] - point[axis])
     return {
         "axis": plane.axes[axis],
         "kind": event.kind,

@@ -135,23 +135,35 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
 
 
 def events_towards(
-    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
+    orbits: CellOrbits,
+    orbit: Orbit,
+    parameters: Array,
+    axis: int,
+    end: float,
+    resolution: float,
+    until: Until | None = None,
 ) -> list[PlaneEvent]:
     """Return the events at which an orbit at parameters (2,) gains or loses stability, or ends, along an axis.
 
     The axis's parameter goes to ``end``, or to the first event for which ``until`` is True. Events are in order along
     the branch, which may turn back. Errors are those of ``workers.continuation.branch``.
     """
-    return _towards(orbits, orbit, here, axis, end, resolution, until)[1]
+    return _towards(orbits, orbit, parameters, axis, end, resolution, until)[1]
 
 
 def _towards(
-    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
+    orbits: CellOrbits,
+    orbit: Orbit,
+    parameters: Array,
+    axis: int,
+    end: float,
+    resolution: float,
+    until: Until | None = None,
 ) -> tuple[BranchRun, list[PlaneEvent]]:
     """Return the branch of ``events_towards``, and the events."""
-    behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
+    behind = float(parameters[axis]) - 1e-6 * (end - float(parameters[axis]))
     window = (min(behind, end), max(behind, end))
-    family, value = orbits.family_along(axis, here), float(here[axis])
+    family, value = orbits.family_along(axis, parameters), float(parameters[axis])
     if is_equilibrium(orbit, orbits.plane.system):
         run = equilibria(family, orbit, value, window, resolution=resolution).run
     else:
@@ -159,7 +171,7 @@ def _towards(
     events, ends = [], {id(point): end for point, end in zip((run.points[0], run.points[-1]), run.ends, strict=True)}
     for event in run.events if behind < end else run.events[::-1]:
         if bounds_stability(event) or (event.kind == EXCHANGE == ends.get(id(event.point))):
-            values = here.copy()
+            values = parameters.copy()
             values[axis] = event.point.values[0]
             events.append(_located(event, values))
     return run, events

@@ -68,7 +68,7 @@ class CurveSearch:
     curves       curves found
     curve_names  names of the parts of the curves
     troubles     errors in words
-    looked       number of edges searched
+    n_searched   number of edges searched
     points       number of points of all curves
     dropped      number of events not followed for lack of budget
     why          reason, in words, why a searched edge stays unexplained, unless a curve explains it
@@ -80,7 +80,7 @@ class CurveSearch:
     curves: list[FollowedCurve] = field(default_factory=list)
     curve_names: list[str] = field(default_factory=list)
     troubles: list[str] = field(default_factory=list)
-    looked: int = 0
+    n_searched: int = 0
     points: int = 0
     dropped: int = 0
     why: dict[int, str] = field(default_factory=dict)
@@ -120,7 +120,7 @@ class CurveSearch:
 
     def _run(self) -> Iterator[list[Any]]:
         yield from self._find_basins()
-        while looks := self.groups.choose(self.verdicts, self.settings.edges - self.looked):
+        while looks := self.groups.choose(self.verdicts, self.settings.edges - self.n_searched):
             yield from self._look_beside(looks)
             known = len(self.curves)
             while self._pending:
@@ -151,7 +151,7 @@ class CurveSearch:
             FindEventsTask(self.groups.orders(self.edges[edge]), LONG_REACH if beyond else SHORT_REACH)
             for edge, beyond in zip(edges, far, strict=True)
         ]
-        self.looked += len(edges)
+        self.n_searched += len(edges)
         for name, edge, result in zip(self._names, edges, self._results, strict=True):
             if self.verdicts[edge] == OPEN:
                 self.verdicts[edge] = {PERSISTS: BASIN, IS: NONE}.get(result.get("there", CEASES), TRIED)

@@ -51,7 +51,7 @@ def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
         "digest": settings.digest(plane),
         "settings": asdict(settings),
         "edges": {name: _counts(search.verdicts[mask]) for name, mask in parts.items()},
-        "looked": search.looked,
+        "looked": search.n_searched,
         "points": search.points,
         "events_not_followed": search.dropped,
         "duplicates": duplicates,

@@ -101,11 +101,11 @@ def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
     return pairs_once, least
 
 
-def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
+def _apart(candidates: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
     """Return the mask of pairs (N, 2) that no chain of other pairs (L, 2) connects."""
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     _, part = connected_components(graph, directed=False)
-    return np.asarray(part[wanted[:, 0]] != part[wanted[:, 1]])
+    return np.asarray(part[candidates[:, 0]] != part[candidates[:, 1]])
 
 
 def _left_over(attractors: AttractorOrbitTable, pairs: Rows) -> Rows:
