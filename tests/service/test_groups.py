@@ -201,8 +201,7 @@ def test_labels_that_lost_their_checksum_are_damaged(labelled: Path, tmp_path: P
         del group["attributes"]["checksum"], group["attributes"]["arrays"]
     (path / "zarr.json").write_text(json.dumps(root))
     (path / LABELS / "zarr.json").write_text(json.dumps(own))
-    (fault,) = faults(path)
-    assert fault.startswith("labels/zarr.json is damaged")
+    assert any(fault.startswith("labels/zarr.json is damaged") for fault in faults(path))
 
 
 def test_a_repair_holds_the_claim_from_before_it_reads(whole: Path, tmp_path: Path) -> None:
