@@ -24,6 +24,7 @@ from atlas.query.queries import fractions
 from atlas.query.resample import read_view
 from atlas.render import figure
 from atlas.store import create, store
+from atlas.store.tile_records import complete_records
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.corruption import flip
 from tests.paths import ROOT
@@ -44,6 +45,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         order = np.random.default_rng(index).permutation(64)[: shape[0] * shape[1]].reshape(shape)
         mixed = {name: array.reshape(64, *array.shape[2:])[order] for name, array in cells.items()}
         write_tile(handle, index, mixed)
+    complete_records(handle)
     keep(handle)
     return handle.path
 

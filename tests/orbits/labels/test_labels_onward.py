@@ -17,7 +17,7 @@ def attractors(rows: Any, **changed: Any) -> AttractorOrbitTable:
     table, count = branch_through(0.85), len(rows)
     given = {
         "system": table.system, "axes": ("omega",), "fixed": dict(table.parameters), "shape": (count,), "keep": 1,
-        "points": rows[["omega"]].to_numpy(), "cell": np.arange(count), "place": np.zeros(count, np.int64),
+        "points": rows[["omega"]].to_numpy(), "cell": np.arange(count), "rank": np.zeros(count, np.int64),
         "regime": np.full(count, PERIODIC), "period": rows.period.to_numpy(), "state": rows[["x", "v"]].to_numpy(),
         "impacts_upper": rows.impacts_upper.to_numpy(), "impacts_lower": rows.impacts_lower.to_numpy(),
         "symmetric": np.zeros(count, np.bool_), "share": np.ones(count), "twin": np.full(count, -1),
