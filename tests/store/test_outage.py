@@ -167,7 +167,9 @@ def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on
     server.trouble = InjectedFault()
     kept = len(done_tiles(open_store(URL)))
     assert kept == 3
-    sidecar_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
+    clear_sidecar(
+        sidecar_of(URL), [LEASE_NAME]
+    )  # this very process left its claim, so that nobody can tell that its run is over
     assert atlas.run(plane_of(), URL, client=client).tiles_solved == 9 - kept
     assert arrays_of(URL) == arrays_of(solved_plane)
 
@@ -221,7 +223,9 @@ def test_a_credential_that_expires_gives_up_no_tile_and_the_same_line_goes_on(
         atlas.run(plane_of(), URL, client=client)
     server.trouble = InjectedFault()
     kept = len(done_tiles(open_store(URL)))
-    sidecar_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
+    clear_sidecar(
+        sidecar_of(URL), [LEASE_NAME]
+    )  # this very process left its claim, so that nobody can tell that its run is over
     summary = atlas.run(plane_of(), URL, client=client)
     assert (summary.tiles_solved, summary.failures) == (9 - kept, ())
     assert arrays_of(URL) == arrays_of(solved_plane)

@@ -87,7 +87,7 @@ class _ServerState:
     requests: list[RecordedRequest] = field(default_factory=list)
     trouble: InjectedFault = field(default_factory=InjectedFault)
     delay: float = 0.0
-    generation: int = 0
+    generation: int = field(default_factory=time.time_ns)  # no two servers give two objects one tag
     lock: Lock = field(default_factory=Lock)
 
     def control(self, asked: dict[str, Any]) -> Any:
