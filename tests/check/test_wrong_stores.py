@@ -63,7 +63,7 @@ def edit(path: Path, key: str, change: Callable[[dict[str, Any]], Any]) -> None:
 # Metadata
 
 
-@pytest.mark.parametrize("key", ["zarr.json", "regime/zarr.json"])
+@pytest.mark.parametrize("key", ["zarr.json"])
 @pytest.mark.parametrize("command", ["status", "query"])
 def test_metadata_nested_without_end_are_bad_input(plane: Path, key: str, command: str) -> None:
     (plane / key).write_text(NESTED)
@@ -73,23 +73,25 @@ def test_metadata_nested_without_end_are_bad_input(plane: Path, key: str, comman
 def test_metadata_of_a_result_nested_without_end_are_named_and_restored(plane: Path) -> None:
     before = json.loads((plane / "largest/zarr.json").read_text())
     (plane / "largest/zarr.json").write_text(NESTED)
-    assert_one_line(call("status", plane), 1, f"{plane}: largest/zarr.json is damaged", "atlas verify --repair")
+    assert "largest/zarr.json is damaged" in call("verify", plane, "--sample", 0).output
     assert call("verify", plane, "--sample", 0, "--repair").exit_code == 1
     assert json.loads((plane / "largest/zarr.json").read_text()) == before
 
 
 @pytest.mark.parametrize("size", [[0, 0], [-1, 2], ["a", 1], [1e3, 2], [10**12, 10**12]])
 @pytest.mark.parametrize("command", ["status", "query"])
-def test_tiles_of_a_size_that_none_has_are_bad_input(plane: Path, size: list[Any], command: str) -> None:
+def test_tiles_of_a_size_that_none_has_are_found_and_mislead_nobody(plane: Path, size: list[Any], command: str) -> None:
     edit(plane, "regime/zarr.json", lambda m: m["chunk_grid"]["configuration"].update(chunk_shape=size))
-    assert_one_line(call(command, plane), 2, plane, "its metadata are damaged: regime/zarr.json differs from its copy")
+    assert call(command, plane).exit_code == 0  # the spec decides, not this object
+    assert "regime/zarr.json" in call("verify", plane, "--sample", 0).output
 
 
 @pytest.mark.parametrize("shape", [[10**12, 10**12], [0, 0], [-1, 1]])
 @pytest.mark.parametrize("command", ["status", "query"])
-def test_a_shape_that_is_not_the_specs_is_refused_in_one_line(plane: Path, shape: list[int], command: str) -> None:
+def test_a_shape_that_is_not_the_specs_is_found_and_misleads_none(plane: Path, shape: list[int], command: str) -> None:
     edit(plane, "regime/zarr.json", lambda m: m.update(shape=shape))
-    assert_one_line(call(command, plane), 2, plane, "regime", "atlas verify --repair")
+    assert call(command, plane).exit_code == 0  # the spec decides, not this object
+    assert "regime/zarr.json" in call("verify", plane, "--sample", 0).output
 
 
 def assert_found_and_mended(path: Path, key: str, made: Path) -> None:

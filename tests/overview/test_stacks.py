@@ -213,7 +213,7 @@ def test_the_planes_of_a_stack_are_drawn_on_one_scale_under_their_values(solved:
 
 
 def test_one_plane_of_a_stack_is_drawn_as_a_plane(solved: Path, tmp_path: Path) -> None:
-    answered("plot", solved, "--select", "R=0.8", "--kind", "cost", "-o", tmp_path / "one.png")
+    answered("plot", solved, "--select", "R=0.8", "--variable", "periods_used", "-o", tmp_path / "one.png")
     answered("plot", solved, "-o", tmp_path / "all.png", "--window", "R=0.65:0.85")
     assert len(render.figure(atlas.open(solved), window={"R": (0.8, 0.8)}).axes) == 2  # map and scale
 
@@ -231,8 +231,8 @@ def test_overlays_and_other_kinds_are_drawn_over_one_plane_only(solved: Path) ->
         render.figure(ds, overlay="boundaries")
     with pytest.raises(InputError, match="kind 'sweep' draws one axis, found a stack of 3 planes"):
         render.figure(ds, "sweep")
-    with pytest.raises(InputError, match="kind 'cost' is drawn of one atlas; side by side: exponent, period"):
-        render.figure(ds, "cost")
+    with pytest.raises(InputError, match="kind 'basins' is drawn of one atlas; side by side: exponent, period"):
+        render.figure(ds, "basins")
 
 
 def test_a_boundary_needs_a_plane(solved: Path) -> None:
