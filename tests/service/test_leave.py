@@ -17,6 +17,7 @@ from distributed import Client, LocalCluster, fire_and_forget
 
 import atlas
 from atlas.cli.main import main
+from atlas.errors import InputError
 from atlas.service.lease import LeaseRecord
 from atlas.service.status import StatusReader, read_status, watch
 from atlas.service.timing import TIMING
@@ -156,8 +157,11 @@ def test_the_coordinator_starts_again_after_its_workers_death_and_redoes_nothing
     assert (atlas.open(store).regime.values != 6).all()
 
 
-def test_two_runs_that_nobody_waits_for_share_a_scheduler(service: Service) -> None:
-    one, two = service.leave("one.zarr"), service.leave("two.zarr")
+def test_two_runs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(service: Service) -> None:
+    plane = plane_of((1, 1))  # 35 tiles, about 6 s: the third run is refused at the next heartbeat, after 3 s at most
+    one, two = service.leave("one.zarr", plane), service.leave("two.zarr")
+    with pytest.raises(InputError, match=r"one.zarr: leased by another run \(process \d+ on "):
+        atlas.run(plane, one, service.client)
     until(lambda: ends(one) and ends(two))
 
 
