@@ -126,10 +126,6 @@ def process_start(pid: int) -> str:
         raise PermissionError(f"process {pid} of another user") from None
 
 
-ORDERLY = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals by which a user or the system asks a process to end."""
-
-
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
     """Shield processes and threads that are started within the block from Ctrl-C; their parent has to end them.

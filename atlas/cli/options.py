@@ -93,25 +93,8 @@ def pairs_option(
     return click.option(name, *dest, metavar=metavar, multiple=True, callback=callback, help=words)
 
 
-_STORAGE = "atlas.storage_options"
-"""Key of the storage options in the ``meta`` of a command's context."""
-_SECRET = ("key", "secret", "token", "password", "sas", "credential")
-"""Parts of the names of storage options whose values are not printed."""
-
-
-def storage_words() -> list[str]:
-    """Return the storage options of the current command as words of a command line, with dots in place of secrets."""
-    words = []
-    for item in click.get_current_context().meta.get(_STORAGE, ()):
-        name, _, value = item.partition("=")
-        secret = any(part in name.lower() for part in _SECRET)
-        words += ["--storage-option", f"{name}={'...' if secret else value}"]
-    return words
-
-
 def _reach(ctx: click.Context, _: click.Parameter, pairs: tuple[str, ...]) -> None:
     """Set the storage options of this command's URLs."""
-    ctx.meta[_STORAGE] = pairs
     if pairs:
         ctx.with_resource(default_storage_options(read_pairs("--storage-option", pairs, lambda _, value: value)))
 
@@ -326,7 +309,7 @@ def input_errors() -> Iterator[None]:
     except (NetworkError, BrokenPipeError):
         raise
     except ChunkError:
-        from atlas.overview.guarded_store import abandon_reads
+        from atlas.overview.verifying_store import abandon_reads
 
         abandon_reads()
         raise

@@ -128,9 +128,3 @@ class CellLookup:
         results |= in_words({variable.name: arrays[variable.name][index] for variable in (REGIME, REASON)})
         results |= {name: arrays[name][index].item() for name in subject.numbers}
         return CellResult(subject.values(plane, x, y), results, of_atlas=False)
-
-
-def child_tiles(key: TileKey) -> list[TileKey]:
-    """Return the four tiles of the next finer level that cover a tile."""
-    x, y = 2 * key.x, 2 * key.y
-    return [TileKey(key.level_x + 1, key.level_y + 1, x + i, y + j) for j in (0, 1) for i in (0, 1)]

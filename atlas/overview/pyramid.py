@@ -78,9 +78,9 @@ class Pyramid:
     def __init__(
         self, handle: AtlasStore, side: int = SIDE, minimum: int = MIN_SIDE, data: bytes | None = None
     ) -> None:
-        from atlas.overview.guarded_store import GuardedStore  # imports Zarr, which is slow
+        from atlas.overview.verifying_store import VerifyingStore  # imports Zarr, which is slow
 
-        self.handle, self._store = handle, GuardedStore(handle)
+        self.handle, self._store = handle, VerifyingStore(handle)
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(data or handle.backend.get(f"{GROUP}/{ROOT}"))
         self.exists = stored is not None

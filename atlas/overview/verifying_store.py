@@ -35,7 +35,7 @@ _asked: ContextVar[set[tuple[StoreBackend, str]] | None] = ContextVar("asked", d
 """Arrays requested within ``skip_chunk_reads``; Zarr's own thread works in the context of the caller."""
 
 
-class GuardedStore(BackendStore):
+class VerifyingStore(BackendStore):
     """Zarr's store of an atlas, read-only; ``get`` raises ChunkError. ``chunks_read`` counts the chunks read."""
 
     def __init__(self, handle: AtlasStore) -> None:

@@ -114,6 +114,6 @@ def open_table(handle: AtlasStore, table: str) -> "xarray.Dataset":
 
 
 def _guarded(handle: AtlasStore) -> Any:
-    from atlas.overview.guarded_store import GuardedStore  # imports Zarr, which is slow
+    from atlas.overview.verifying_store import VerifyingStore  # imports Zarr, which is slow
 
-    return GuardedStore(handle)
+    return VerifyingStore(handle)

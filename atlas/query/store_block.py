@@ -64,7 +64,7 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
     To find out, its first value is requested while chunk reads are skipped: an unmodified variable asks for this array,
     a computed, loaded or assigned one does not. A Dask array is recognized by its graph.
     """
-    from atlas.overview.guarded_store import skip_chunk_reads  # imports Zarr, which is slow
+    from atlas.overview.verifying_store import skip_chunk_reads  # imports Zarr, which is slow
 
     stored = handle.nodes.get(name)
     if name not in ds or stored is None:

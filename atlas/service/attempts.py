@@ -89,7 +89,7 @@ class OpenJob(Generic[J]):
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt(Generic[J]):
+class JobAttempt(Generic[J]):
     """An attempt in flight: its job, the workers that it is restricted to, its begin in seconds of ``monotonic``."""
 
     open_job: OpenJob[J]

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from atlas.errors import RunError
 from atlas.formatting import byte_size, duration, plural
-from atlas.service.attempts import Attempt, AttemptOutcome, Ending, J, OpenJob, R, outcome_of_error, run_attempt
+from atlas.service.attempts import AttemptOutcome, Ending, J, JobAttempt, OpenJob, R, outcome_of_error, run_attempt
 from atlas.service.cluster import CLUSTER_LOST_MESSAGE, loss_reported, worker_memory, worker_threads
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
@@ -110,7 +110,7 @@ class Dispatcher(Generic[J, R]):
 
     def _start(self, jobs: Iterator[J]) -> None:
         self._pending = jobs
-        self._attempts: dict[Future[AttemptOutcome[R]], Attempt[J]] = {}
+        self._attempts: dict[Future[AttemptOutcome[R]], JobAttempt[J]] = {}
         self._flying: set[OpenJob[J]] = set()
         self._retries: deque[OpenJob[J]] = deque()
         self._deferred: list[OpenJob[J]] = []
@@ -293,7 +293,7 @@ class Dispatcher(Generic[J, R]):
                 run_attempt, self._act, open_job.job, key=key, workers=workers and list(workers), pure=False
             )
         open_job.n_flying += 1
-        self._attempts[future] = Attempt(open_job, workers, time.monotonic())
+        self._attempts[future] = JobAttempt(open_job, workers, time.monotonic())
         self._completed.add(future)
 
     def _allowed_workers(self, open_job: OpenJob[J]) -> tuple[str, ...] | None:

@@ -38,13 +38,6 @@ class StoreBackend:
     def __deepcopy__(self, memo: object) -> Self:
         return self  # a backend is only a name
 
-    def subfolder(self, folder: str) -> "StoreBackend":
-        """Return the backend of a store in a folder of this one, under the same lease.
-
-        Raise ValueError if this backend is read-only.
-        """
-        raise ValueError(f"{self}: cannot write to a read-only store")
-
     def confirm_lease(self) -> None:
         """Raise an error if the run of this process has lost the lease of the store; this takes one read."""
         if self.confirmation is not None:
@@ -162,9 +155,6 @@ class LocalBackend(StoreBackend):
             return None
         # A write replaces the file by another.
         return None if S_ISDIR(stat.st_mode) else (stat.st_ino, stat.st_mtime_ns, stat.st_size)
-
-    def subfolder(self, folder: str) -> "LocalBackend":
-        return LocalBackend(self.path / folder).with_lease(self.confirmation)
 
     def put(self, key: str, data: bytes) -> None:
         with self._written(key, lambda written: _write_flushed(written, data)) as written:

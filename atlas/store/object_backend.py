@@ -159,12 +159,6 @@ def is_url(store: object) -> TypeGuard[str]:
     return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 
-def url_below(url: str, folder: str) -> str:
-    """Return the URL of a folder below a URL, with the same query."""
-    parts = urlsplit(url)
-    return parts._replace(path=f"{parts.path}/{folder}").geturl()
-
-
 def _place_at(path: Path) -> StoreBackend:
     for part in (path, *path.parents):
         if os.path.islink(part) and not os.path.exists(part):  # also for names that are too long
@@ -209,9 +203,6 @@ class ObjectBackend(StoreBackend):
         """The obstore client, one per backend and process."""
         settings = {name: value for name, value in os.environ.items() if name.upper().startswith(_SETTINGS)}
         return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
-
-    def subfolder(self, folder: str) -> "ObjectBackend":
-        return replace(self, url=url_below(self.url, folder)).with_lease(self.confirmation)
 
     def get(self, key: str, part: slice | None = None) -> bytes | None:
         import obstore

@@ -231,7 +231,7 @@ def test_records_are_not_written_after_the_claim_is_lost(finished: Path) -> None
 
 CHANGES: dict[str, Callable[[AtlasStore], object]] = {
     "an object that finishes others": lambda handle: handle.backend.commit("zarr.json", b""),
-    "the same below": lambda handle: handle.backend.subfolder("regime").commit("zarr.json", b""),
+    "the same below": lambda handle: handle.backend.commit("regime/zarr.json", b""),
     "a part of a search": lambda handle: put_part(handle, "curves", "1", b"1"),
     "a tile that is dropped": lambda handle: drop_tile(handle, (0, 0)),
     "a group": lambda handle: write_group(handle, "curves", {}, {}),

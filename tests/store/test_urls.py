@@ -79,7 +79,7 @@ def test_no_name_and_no_message_of_a_url_has_its_secrets(url: str) -> None:
     assert isinstance(notes, ObjectBackend)
     ended = CliRunner().invoke(main, ["query", f"ftp{url.removeprefix('https')}"])
     assert ended.exit_code == 2
-    texts = [str(place), repr(place.subfolder("a")), str(notes), ended.output]
+    texts = [str(place), repr(place), str(notes), ended.output]
     with pytest.raises(NetworkError) as caught:
         place.get("a")
     texts += [str(caught.value), str(InputError(f"{url}: is wrong"))]
@@ -89,7 +89,6 @@ def test_no_name_and_no_message_of_a_url_has_its_secrets(url: str) -> None:
 def test_a_signature_stays_with_the_objects_within_a_store_and_beside_it() -> None:
     place = open_backend("https://host/a/out.zarr?sig=1")
     assert isinstance(place, ObjectBackend)
-    assert place.subfolder("zoom/x").url == "https://host/a/out.zarr/zoom/x?sig=1"
     notes = sidecar_of(place)
     assert isinstance(notes, ObjectBackend)
     assert notes.url == "https://host/a/.out.zarr.run?sig=1"
