@@ -4,7 +4,7 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, auto
 from typing import Any, Generic, Protocol, TypeVar
 
 from atlas.errors import NetworkError, RunError
@@ -33,11 +33,18 @@ class Ending(Enum):
     FAILED       with an exception, for which the job or the worker may be the reason
     """
 
-    DONE = ()
-    REFUSED = (WorkerRefusedError,)
-    UNREACHABLE = (NetworkError,)
-    FULL = (StoreFullError,)
-    FAILED = (Exception,)
+    DONE = auto()
+    REFUSED = auto()
+    UNREACHABLE = auto()
+    FULL = auto()
+    FAILED = auto()
+
+
+_ENDING_OF_ERROR: dict[type[Exception], Ending] = {
+    WorkerRefusedError: Ending.REFUSED,
+    NetworkError: Ending.UNREACHABLE,
+    StoreFullError: Ending.FULL,
+}
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ def run_attempt(act: Callable[[J], R], job: J) -> AttemptOutcome[R]:
     try:
         return AttemptOutcome(worker, Ending.DONE, act(job), time.perf_counter() - begin)
     except Exception as error:
-        ending = next(ending for ending in Ending if isinstance(error, ending.value))
+        ending = next((ending for kind, ending in _ENDING_OF_ERROR.items() if isinstance(error, kind)), Ending.FAILED)
         reason = _format_error(error) if ending is Ending.FAILED else str(error)
         return AttemptOutcome(worker, ending, reason=reason, traceback=traceback.format_exc())
 
