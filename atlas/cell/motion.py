@@ -15,7 +15,7 @@ from workers.model.system import System
 
 
 @dataclass(frozen=True)
-class Motion:
+class CellMotion:
     """The motion of one machine from its initial state on, with its state at any time.
 
     values      parameters as arrays (1,) of one machine
@@ -58,7 +58,7 @@ class Motion:
         return np.concatenate(states)
 
     def states_at_impacts(self, impacts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the states (K, 2n) just before and just after impacts (K, 3), and the mask (K,) of those that jump.
+        """Return the states (K, 2n) just before and just after impacts (K, 3), and the mask (K,) of impacts with a jump.
 
         A velocity jumps at an impact on a rigid stop, and not where a chatter ends.
         """

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from atlas.argument_checks import is_integer, validate_flag
-from atlas.cell.motion import Motion
+from atlas.cell.motion import CellMotion
 from atlas.errors import InputError, brief_repr
 from atlas.spec.spec import given_values, validate_parameters
 from atlas.spec.system import parse_system
@@ -76,7 +76,7 @@ def time_history(
     for name, count, low in (("periods", periods, 1), ("transient", transient, 0), ("samples", samples, 1)):
         if not is_integer(count) or count < low:
             raise InputError(f"{name}: found {brief_repr(count)}, must be a whole number, {low} or more")
-    motion = Motion.follow(record, parameters, transient + periods, None)
+    motion = CellMotion.follow(record, parameters, transient + periods, None)
     first, last = float(motion.followed.times[transient]), float(motion.followed.times[-1])
     instants = _instants(times, first, last, samples * periods)
     modes = _ModeHistory.of(record, motion, transient)
@@ -104,7 +104,7 @@ def time_history(
 
 
 def _instants(times: Sequence[float] | None, first: float, last: float, count: int) -> Array:
-    """Return the instants of a history: those that are asked for, or ``count`` even steps."""
+    """Return the instants of a history: the given ``times``, or ``count`` even steps."""
     if times is None:
         return np.linspace(first, last, count + 1)
     try:
@@ -138,7 +138,7 @@ class _ModeHistory:
     events: list[tuple[float, str]]
 
     @classmethod
-    def of(cls, system: System, motion: Motion, transient: int) -> Self:
+    def of(cls, system: System, motion: CellMotion, transient: int) -> Self:
         """Return the modes of a motion after this number of periods, each period from its own section state."""
         machine, _ = build_hybrid(system.definition.hybrid(motion.values))
         machines, starts, codes, slots = machine.table.machines, list[float](), list[ModeCode](), list[int]()

@@ -206,9 +206,9 @@ def path_of(
 
     Impacts on rigid stops have two more states each, with the velocities before and after the impact.
     """
-    from atlas.cell.motion import Motion
+    from atlas.cell.motion import CellMotion
 
-    motion = Motion.follow(system, parameters, periods, cycle)
+    motion = CellMotion.follow(system, parameters, periods, cycle)
     impacts = motion.followed.impacts
     times = np.linspace(0.0, motion.followed.times[-1], periods * samples_of(system) + 1)
     before, after, rigid = motion.states_at_impacts(impacts)
