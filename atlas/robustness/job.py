@@ -55,6 +55,11 @@ class MeasureJob:
     norm: tuple[tuple[str, float], ...]
     store_ref: StoreRef
 
+    @property
+    def part(self) -> str:
+        """The group and the name of the part."""
+        return f"{STABILITY}/{self.name}"
+
 
 def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
     """Yield (name, tile, first cell, end of the cells) of each part for the measures of a family."""

@@ -1,8 +1,8 @@
 """Finding a plane's curves on the workers: stages of jobs, whose parts are kept in the store, then the curves."""
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from atlas.argument_checks import validate_type
@@ -15,41 +15,29 @@ from atlas.orbits.curves.search_result import edge_share, finish_search
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.table import Curves, read_curves, write_curves
 from atlas.service.options import DEFAULTS, RunOptions, with_fields
+from atlas.service.part_run import PartCost, PartRun
 from atlas.service.progress import Progress
 from atlas.service.store_call import store_call
-from atlas.service.worker_pool import WorkerPool
 from atlas.store.groups import CURVES
 from atlas.store.object_backend import Given
-from atlas.store.parts import drop_parts, finished_parts, part_names
+from atlas.store.parts import drop_parts, part_names
 from atlas.store.store import AtlasStore
-from atlas.store.zarr_backend import check_not_packed
 from atlas.task.compile import ORBITS, kernels_for
-from atlas.task.store_ref import PartReport
 
 if TYPE_CHECKING:
     from distributed import Client
 
 
 @dataclass(frozen=True)
-class CurveSummary:
+class CurveSummary(PartCost):
     """The curves of a store, and the cost of finding them.
 
-    store              path or URL of the store
-    curves             the curves
-    seconds            duration of the search
-    processor_seconds  processor time of the workers
-    workers            number of worker threads
-    tasks              number of jobs
-
-    The cost is 0 if the store had the curves already.
+    store   path or URL of the store
+    curves  the curves
     """
 
     store: str
     curves: Curves
-    seconds: float = 0.0
-    processor_seconds: float = 0.0
-    workers: int = 0
-    tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas find curves --json`` prints."""
@@ -115,11 +103,18 @@ def find_curves(
         stored = _stored(handle, digest)
         if stored is not None:
             return CurveSummary(str(handle.backend), stored)
-        check_not_packed(handle.backend)
-        call.connect()
-        call.acquire_lease()
-        pool = WorkerPool(call, handle, run_and_store, kernels_for(handle.spec.system_def, ORBITS))
-        return _CurveRun(pool.handle, search, digest, pool).run()
+        kernels = kernels_for(handle.spec.system_def, ORBITS)
+        parts = PartRun(call, handle, run_and_store, kernels, {CURVES: digest})
+        while tasks := search.tasks():
+            jobs = [
+                CurveJob((search.stage, k), name, task, settings, digest, parts.pool.store_ref)
+                for k, (name, task) in enumerate(tasks.items())
+            ]
+            parts.run(jobs, partial(_progress, search))
+            search.add_results([read_part(parts.handle, name) for name in tasks])
+        curves = finish_search(search)
+        write_curves(parts.handle, curves)
+        return CurveSummary(str(handle.backend), curves, **vars(parts.end()))
 
 
 def _stored(handle: AtlasStore, digest: str) -> Curves | None:
@@ -135,40 +130,11 @@ def _stored(handle: AtlasStore, digest: str) -> Curves | None:
     return stored
 
 
-@dataclass
-class _CurveRun:
-    """A search for curves on a leased store."""
-
-    handle: AtlasStore
-    search: CurveSearch
-    digest: str
-    pool: WorkerPool[CurveJob, PartReport]
-
-    def run(self) -> CurveSummary:
-        """Run the unfinished stages, write the curves, and return the summary."""
-        stored_parts = finished_parts(self.handle, CURVES, self.digest)
-        while tasks := self.search.tasks():
-            jobs = [
-                self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in stored_parts
-            ]
-            self.pool.run_jobs(jobs, self._progress)
-            self.search.add_results([read_part(self.handle, name) for name in tasks])
-        curves = finish_search(self.search)
-        write_curves(self.handle, curves)
-        drop_parts(self.handle, CURVES)
-        pool, seconds = self.pool, time.monotonic() - self.pool.begin
-        return CurveSummary(str(self.handle.backend), curves, seconds, pool.processor_seconds, pool.threads, pool.tasks)
-
-    def _job(self, number: int, name: str, task: Any) -> CurveJob:
-        index = self.search.stage, number
-        return CurveJob(index, name, task, self.search.settings, self.digest, self.pool.store_ref)
-
-    def _progress(self) -> Progress:
-        search = self.search
-        settled, edges = search.n_settled, len(search.edges)
-        curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
-        stage = f"{search.doing}: {curves}, {settled} of {edges} edges settled"
-        return Progress(stage, cells=edges, cells_done=settled)
+def _progress(search: CurveSearch) -> Progress:
+    settled, edges = search.n_settled, len(search.edges)
+    curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
+    stage = f"{search.doing}: {curves}, {settled} of {edges} edges settled"
+    return Progress(stage, cells=edges, cells_done=settled)
 
 
 def _why_line(unexplained: Mapping[str, Any]) -> str:

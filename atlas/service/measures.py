@@ -1,8 +1,7 @@
 """Measuring the attractors of a finished atlas on the workers: parts that the store keeps, then the measures."""
 
 import hashlib
-import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -35,16 +34,13 @@ from atlas.robustness.table import (
     write_measures,
 )
 from atlas.service.options import DEFAULTS, RunOptions, with_fields
+from atlas.service.part_run import PartCost, PartRun
 from atlas.service.progress import Progress
 from atlas.service.store_call import store_call
-from atlas.service.worker_pool import WorkerPool
 from atlas.store.object_backend import Given
-from atlas.store.parts import drop_parts, finished_parts
 from atlas.store.store import AtlasStore
 from atlas.store.tiles import read_tile
-from atlas.store.zarr_backend import check_not_packed
 from atlas.task.solve_block import kernels_of
-from atlas.task.store_ref import PartReport
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -54,25 +50,17 @@ Request = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class MeasureSummary:
+class MeasureSummary(PartCost):
     """Statistics of a store's measures, and the cost of computing them.
 
-    store              path or URL of the store
-    measures           statistics by measure
-    requests           stored requests by family of measures
-    seconds            duration
-    processor_seconds  processor time of the workers
-    tasks              number of jobs
-
-    The cost is 0 if the store had the measures already.
+    store     path or URL of the store
+    measures  statistics by measure
+    requests  stored requests by family of measures
     """
 
     store: str
     measures: Mapping[str, Mapping[str, float]]
     requests: Mapping[str, Request]
-    seconds: float = 0.0
-    processor_seconds: float = 0.0
-    tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas attractors measure --json`` prints."""
@@ -122,24 +110,16 @@ def measure_attractors(
         missing = [family for family, request in requests.items() if stored.requests.get(family) != request]
         if not missing:
             return MeasureSummary(str(handle.backend), summary_of(stored.arrays), stored.requests)
-        check_not_packed(handle.backend)
-        begin = time.monotonic()
-        call.connect()
-        call.acquire_lease()
-        pool = WorkerPool(call, handle, measure_and_keep, kernels_of(handle.spec))
-        handle = pool.handle
+        digests = {group_of(family): _digest({family: requests[family]}) for family in missing}
+        parts = PartRun(call, handle, measure_and_keep, kernels_of(handle.spec), digests)
+        handle = parts.handle
         if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
             raise RunError(f"{handle.backend}: another run has measured it meanwhile; rerun the same command")
-        measured = StoredMeasures(dict(stored.arrays), dict(stored.requests))
-        job = _MeasureRun(handle, pool, tuple(weights.items()))
-        measured.arrays.update(job.run({name: _digest({name: requests[name]}) for name in missing}))
-        measured.requests.update({family: requests[family] for family in missing})
-        ordered = {name: measured.arrays[name] for name in MEASURES if name in measured.arrays}
-        write_measures(handle, StoredMeasures(ordered, measured.requests))
-        for family in missing:
-            drop_parts(handle, group_of(family))
-        seconds, busy = time.monotonic() - begin, pool.processor_seconds
-        return MeasureSummary(str(handle.backend), summary_of(ordered), measured.requests, seconds, busy, pool.tasks)
+        arrays = stored.arrays | _measure(parts, missing, tuple(weights.items()))
+        ordered = {name: arrays[name] for name in MEASURES if name in arrays}
+        measured = stored.requests | {family: requests[family] for family in missing}
+        write_measures(handle, StoredMeasures(ordered, measured))
+        return MeasureSummary(str(handle.backend), summary_of(ordered), measured, **vars(parts.end()))
 
 
 def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> dict[str, Request]:
@@ -180,51 +160,31 @@ def _digest(requests: Mapping[str, Request]) -> str:
     return hashlib.sha256(repr((sorted(map(repr, requests.items())), VERSION, SOLVER_VERSION)).encode()).hexdigest()
 
 
-@dataclass
-class _MeasureRun:
-    """The measurement of attractors in a leased store."""
+def _measure(parts: PartRun[MeasureJob], families: Sequence[str], norm: tuple[tuple[str, float], ...]) -> Arrays:
+    """Return the measures of some families over all cells."""
+    handle, ref = parts.handle, parts.pool.store_ref
+    every = ((family, *piece) for family in families for piece in pieces(handle, family))
+    jobs = [
+        MeasureJob((k,), name, family, tile, first, last, norm, ref)
+        for k, (family, name, tile, first, last) in enumerate(every)
+    ]
+    cells, stored = (
+        sum(job.last - job.first for job in some) for some in (jobs, [job for job in jobs if job.part in parts.stored])
+    )
 
-    handle: AtlasStore
-    pool: WorkerPool[MeasureJob, PartReport]
-    norm: tuple[tuple[str, float], ...]
-    cells: int = 0
-    cells_done: int = 0
+    def progress() -> Progress:
+        done = stored + parts.cells
+        return Progress(f"measuring: {done} of {plural(cells, 'cell')}", cells=cells, cells_done=done)
 
-    def run(self, families: Mapping[str, str]) -> Arrays:
-        """Return the measures of some families over all cells.
-
-        The digest of a family identifies the stored parts of its request.
-        """
-        handle = self.handle
-        stored_parts = {
-            f"{family}/{name}"
-            for family, digest in families.items()
-            for name in finished_parts(handle, group_of(family), digest)
-        }
-        parts = [(family, *piece) for family in families for piece in pieces(handle, family)]
-        self.cells = sum(last - first for *_, first, last in parts)
-        self.cells_done = sum(last - first for _, name, _, first, last in parts if name in stored_parts)
-        jobs = [
-            MeasureJob((k,), name, family, tile, first, last, self.norm, self.pool.store_ref)
-            for k, (family, name, tile, first, last) in enumerate(parts)
-            if name not in stored_parts
-        ]
-        self.pool.run_jobs(jobs, self._progress, self._count)
-        many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
-        arrays: Arrays = {}
-        for family in families:
-            arrays |= empty(of_family(family), (*handle.spec.shape, *many))
-        for _, name, tile, first, last in parts:
-            at = handle.tiling.at(tile)
-            cells = np.unravel_index(np.arange(first, last), at.shape)
-            index = tuple(cell + part.start for cell, part in zip(cells, at.slices, strict=True))
-            for measured, values in read_measured(handle, name).items():
-                arrays[measured][index] = values if many else values[:, 0]
-        return arrays
-
-    def _count(self, report: PartReport) -> None:
-        self.cells_done += report.cells
-
-    def _progress(self) -> Progress:
-        stage = f"measuring: {self.cells_done} of {plural(self.cells, 'cell')}"
-        return Progress(stage, cells=self.cells, cells_done=self.cells_done)
+    parts.run(jobs, progress)
+    many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
+    arrays: Arrays = {}
+    for family in families:
+        arrays |= empty(of_family(family), (*handle.spec.shape, *many))
+    for job in jobs:
+        at = handle.tiling.at(job.tile)
+        which = np.unravel_index(np.arange(job.first, job.last), at.shape)
+        index = tuple(cell + part.start for cell, part in zip(which, at.slices, strict=True))
+        for measured, values in read_measured(handle, job.name).items():
+            arrays[measured][index] = values if many else values[:, 0]
+    return arrays

@@ -37,6 +37,11 @@ class CurveJob:
     digest: str
     store_ref: StoreRef
 
+    @property
+    def part(self) -> str:
+        """The group and the name of the part."""
+        return f"{CURVES}/{self.name}"
+
 
 def run_and_store(job: CurveJob) -> PartReport:
     """Run a task and write its result as a part of the store."""
