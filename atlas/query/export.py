@@ -1,7 +1,6 @@
 """Export of cells to a file for other programs: CSV or netCDF, selected by the suffix."""
 
 import os
-import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from atlas.argument_checks import validate_path
 from atlas.errors import InputError
+from atlas.platform import move_whole, temporary_beside
 from atlas.query.window import Window, axis_names, select_window
 from atlas.query.window import columns as columns_of
 
@@ -110,15 +110,10 @@ def replace_on_success(target: Path) -> Iterator[Path]:
 
     Raise InputError for a target that cannot be written.
     """
-    unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
-        try:
+        with temporary_beside(target, ".") as unfinished:
             yield unfinished
-            with unfinished.open("rb+") as file:
-                os.fsync(file.fileno())  # otherwise the rename could be durable before the content is
-            os.replace(unfinished, target)
-        finally:
-            unfinished.unlink(missing_ok=True)
+            move_whole(unfinished, target)
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
 
