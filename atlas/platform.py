@@ -1,4 +1,4 @@
-"""Differences between operating systems: file locks, processors, memory, identity of processes, interrupts.
+"""Differences between operating systems, as in locks, processors and interrupts; files that are written whole.
 
 The rest of the package is the same on all systems; tests/project/test_portable.py checks this.
 """
@@ -32,6 +32,31 @@ def file_lock(path: Path) -> FileLock:
     if the file system has no locks.
     """
     return FileLock(path, poll_interval=_LOOKS, fallback_to_soft=False)
+
+
+@contextmanager
+def temporary_beside(target: Path, prefix: str = "") -> Iterator[Path]:
+    """Yield the path of a file that is to be written beside a target, with a name of its own that ends in ``.partial``.
+
+    The file is removed at the end, unless it has been moved, as by ``move_whole``.
+    """
+    unfinished = target.with_name(f"{prefix}{target.name}.{uuid.uuid4().hex}.partial")
+    try:
+        yield unfinished
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def flush(path: Path) -> None:
+    """Flush a written file to the disk: after a crash it could otherwise be empty under its later name."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def move_whole(unfinished: Path, target: Path) -> None:
+    """Flush a written file and move it to a target, which it replaces: the target appears whole or not at all."""
+    flush(unfinished)
+    os.replace(unfinished, target)
 
 
 def is_unread(stream: TextIO) -> bool:

@@ -128,7 +128,7 @@ def write(ctx: click.Context, subject: str, selection: Numbers, window: Bounds, 
     from atlas.query.window import select_window
     from atlas.spec.examples import example_names
 
-    if subject.endswith(".toml") or subject in example_names():
+    if str(subject).endswith(".toml") or subject in example_names():
         run = f"atlas run {subject} -o {Path(subject).stem}.zarr"
         raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
     with input_errors():

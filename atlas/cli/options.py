@@ -19,7 +19,7 @@ from atlas.service.options import MAX_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
 from atlas.spec.spec import SETTING_MEANINGS, observable_settings, parse_settings, validate_parameters
 from atlas.spec.system import parse_system
-from atlas.store.object_backend import default_storage_options, is_url
+from atlas.store.object_backend import StoreBackend, is_url, open_backend
 from workers import Settings
 from workers.attractors.initial_states import MAX_STARTS, AttractorSettings
 from workers.model.system import DEFAULT, System
@@ -93,33 +93,31 @@ def pairs_option(
     return click.option(name, *dest, metavar=metavar, multiple=True, callback=callback, help=words)
 
 
-def _reach(ctx: click.Context, _: click.Parameter, pairs: tuple[str, ...]) -> None:
-    """Set the storage options of this command's URLs."""
-    if pairs:
-        ctx.with_resource(default_storage_options(read_pairs("--storage-option", pairs, lambda _, value: value)))
-
-
 def storage_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the option --storage-option, which sets the access of the command's URLs.
+    """Return the command with the option --storage-option; if given, the command gets backends for its URLs.
 
-    Raise InputError if the option is given and the command has no URL.
+    Commands only open a store or print its name, for which a backend does as well as a text. Raise InputError if the
+    option is given and the command has no URL.
     """
 
-    @click.option(
+    @pairs_option(
         "--storage-option",
-        metavar="KEY=VALUE",
-        multiple=True,
-        expose_value=False,
-        is_eager=True,
-        callback=_reach,
-        help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
+        "KEY=VALUE",
+        "Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
+        lambda _, value: value,
     )
     @wraps(command)
-    def wrapper(*args: Any, **arguments: Any) -> None:
-        source = click.get_current_context().get_parameter_source("storage_option")
-        names = [name for value in arguments.values() for name in (value if isinstance(value, tuple) else (value,))]
-        if source is ParameterSource.COMMANDLINE and not any(is_url(n) and not n.startswith("file:") for n in names):
-            raise InputError("--storage-option: sets the access of a store at a URL, found no URL of a server")
+    def wrapper(*args: Any, storage_option: Mapping[str, str], **arguments: Any) -> None:
+        def open_url(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(map(open_url, value))
+            is_remote = is_url(value) and not value.startswith("file:")
+            return open_backend(value, storage_options=storage_option) if is_remote else value
+
+        if storage_option:
+            given, arguments = arguments, {name: open_url(value) for name, value in arguments.items()}
+            if arguments == given:
+                raise InputError("--storage-option: sets the access of a store at a URL, found no URL of a server")
         command(*args, **arguments)
 
     return wrapper
@@ -222,7 +220,7 @@ def resolve_cell(parameters: Numbers, system: str, solve: Mapping[str, Any]) -> 
     return record, parameters, observable_settings(settings, record)
 
 
-def open_selection(store: str, selection: Mapping[str, float]) -> "xr.Dataset":
+def open_selection(store: str | StoreBackend, selection: Mapping[str, float]) -> "xr.Dataset":
     """Return the atlas of a STORE at these values of some axes.
 
     For a value between two cells, the nearest cell is printed.

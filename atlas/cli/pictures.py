@@ -101,7 +101,7 @@ def plot(
         other = None if against is None else open_selection(against, select)
         print_status("drawing")
         if len(atlases) > 1:
-            stems = [os.path.basename(store.rstrip("/" + os.sep)) for store in stores]
+            stems = [os.path.basename(str(store).rstrip("/" + os.sep)) for store in stores]
             draw(atlases, out, kind, window, titles=stems, **look)
         else:
             draw(

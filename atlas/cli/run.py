@@ -4,6 +4,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import click
 
@@ -173,7 +174,7 @@ def run(
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
     read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", part) for part in tile.split(","))
-    options = options.replace_fields(tls=_tls(**tls), tile=index, performance_report=report)
+    options = replace(options, tls=_tls(**tls), tile=index, performance_report=report)
     with _logged(log), progress.resumable(ctx, options, with_time) as run_options:
         summary = run_spec(read, out, options=run_options)
     _report(ctx, summary)
@@ -208,7 +209,7 @@ def retry(
     REGIMES is one or more of undetermined, chaotic, aperiodic, separated by commas. STORE does not change. The same
     command resumes a retry that was stopped.
     """
-    options = options.replace_fields(tls=_tls(**tls))
+    options = replace(options, tls=_tls(**tls))
     with progress.resumable(ctx, options) as run_options:
         summary = retry_store(store, out, regimes, max_periods, survival, options=run_options)
     _report(ctx, summary)

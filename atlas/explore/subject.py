@@ -21,7 +21,7 @@ from atlas.spec.axis import Axis, validate_in_range
 from atlas.spec.cells import edges_of, nearest
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MAX_AXES, Spec
-from atlas.store.object_backend import is_url, open_backend
+from atlas.store.object_backend import StoreBackend, is_url, open_backend
 from atlas.store.store import AtlasStore, open_store
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.initial_states import AttractorSettings
@@ -277,7 +277,7 @@ class Subject:
 
 
 def subject_of(
-    source: str | AtlasStore, view: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
+    source: str | StoreBackend | AtlasStore, view: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
 ) -> Subject:
     """Return the subject that a user names.
 
@@ -289,10 +289,10 @@ def subject_of(
     """
     if isinstance(source, AtlasStore):
         return _subject(source.spec, source, open_atlas(source), view or {}, tolerance)
-    backend = None if source.endswith(".toml") else open_backend(source)
+    backend = None if str(source).endswith(".toml") else open_backend(source)
     if backend is not None and (backend.exists("zarr.json") or is_url(source) or backend.local is None):
         return subject_of(open_store(backend), view, tolerance)
-    return _subject(Spec.from_toml(source), None, None, view or {}, tolerance)
+    return _subject(Spec.from_toml(str(source)), None, None, view or {}, tolerance)
 
 
 def _subject(

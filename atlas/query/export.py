@@ -1,7 +1,6 @@
 """Export of cells to a file for other programs: CSV or netCDF, selected by the suffix."""
 
 import os
-import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from atlas.argument_checks import validate_path
 from atlas.errors import InputError
+from atlas.platform import move_whole, temporary_beside
 from atlas.query.window import Window, axis_names, select_window
 from atlas.query.window import columns as columns_of
 
@@ -67,6 +67,20 @@ def write_table(path: Path, table: "pd.DataFrame") -> None:
         _append(file, table)
 
 
+def write_history(table: "pd.DataFrame", path: Path) -> None:
+    """Write a history as CSV or netCDF (version 3), completely or not at all; the suffix of the path decides.
+
+    Raise InputError for another suffix and for a path that cannot be written.
+    """
+    if check_target(path, FORMATS) == ".csv":
+        write_table(path, table)
+        return
+    with replace_on_success(path) as unfinished:
+        words = table["event"].to_numpy(dtype=str)  # netCDF 3 has characters only
+        ds = table.drop(columns="event").rename_axis("row").to_xarray().assign(event=("row", words))
+        ds.to_netcdf(unfinished, format="NETCDF3_64BIT", engine="scipy")
+
+
 def _append(file: TextIO, table: "pd.DataFrame", header: bool = True) -> None:
     """Append a table to an open file; NaN and infinities are written as such."""
     table.to_csv(file, index=False, header=header, na_rep="nan", lineterminator="\n")
@@ -96,15 +110,10 @@ def replace_on_success(target: Path) -> Iterator[Path]:
 
     Raise InputError for a target that cannot be written.
     """
-    unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
-        try:
+        with temporary_beside(target, ".") as unfinished:
             yield unfinished
-            with unfinished.open("rb+") as file:
-                os.fsync(file.fileno())  # otherwise the rename could be durable before the content is
-            os.replace(unfinished, target)
-        finally:
-            unfinished.unlink(missing_ok=True)
+            move_whole(unfinished, target)
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
 

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query.label_placement import places
-from atlas.query.outlines import simplify_regimes
 from atlas.query.plane import Plane
 from atlas.render import overlays, style
 from atlas.render.coded_maps import described_curves, text_of
 from atlas.render.kinds import OverlayError
+from atlas.render.label_placement import places
 from atlas.render.layers import MapLayers, MapView
+from atlas.render.outlines import simplify_regimes
 
 Array = NDArray[np.float64]
 Size = tuple[float, float]

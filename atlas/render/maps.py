@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from atlas.query.label_placement import places
 from atlas.query.plane import Plane
 from atlas.query.resample import read_view as in_view
 from atlas.render import overlays, raster, scalar_maps, style, text
 from atlas.render.kinds import PictureKind
+from atlas.render.label_placement import places
 from atlas.render.layers import Class, MapLayers, MapView
 from atlas.render.layout import FigureLayout
 from atlas.render.request import PictureRequest

@@ -23,14 +23,14 @@ from atlas.errors import InputError
 from atlas.orbits.curves import queries
 from atlas.orbits.curves.table import Curve
 from atlas.query import machine
-from atlas.query.grazing import grazing_lines
-from atlas.query.label_placement import crowded_parts
 from atlas.query.open import handle_of
-from atlas.query.outlines import simplify_regimes
 from atlas.query.window import axis_names
 from atlas.render import raster, style
+from atlas.render.grazing import grazing_lines
 from atlas.render.kinds import OverlayError
+from atlas.render.label_placement import crowded_parts
 from atlas.render.layers import MapView
+from atlas.render.outlines import simplify_regimes
 from atlas.robustness.saddles import saddles_in
 
 Array = NDArray[np.float64]

@@ -12,11 +12,11 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from atlas.query.outlines import borders, row_rectangles, small_regions
 from atlas.query.plane import Cells, Plane, PlaneAxis
 from atlas.render import style, text
 from atlas.render.layers import MapLayers, paint
 from atlas.render.layout import FigureLayout
+from atlas.render.outlines import borders, row_rectangles, small_regions
 from atlas.store.schema import REGIME_COLORS
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
 

@@ -16,12 +16,12 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocato
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query.color_limits import number_ends, scale_ends
 from atlas.query.extremes import variable_of
-from atlas.query.outlines import without_dust
 from atlas.render import class_maps, kinds, raster, style, text
+from atlas.render.color_limits import number_ends, scale_ends
 from atlas.render.layers import Class, HatchLayer, MapLayers, MapView, ScalarLayer, build_layers
 from atlas.render.layout import STANDARD, FigureLayout
+from atlas.render.outlines import without_dust
 from workers.results import CHAOTIC, LARGEST, NO_IMPACT, UNDETERMINED
 
 Array = NDArray[np.float64]

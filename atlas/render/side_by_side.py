@@ -14,12 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from atlas.errors import InputError
-from atlas.query.color_limits import scale_ends
 from atlas.query.compare import Comparison, differences, differing_parameters
 from atlas.query.plane import Cells, Plane
 from atlas.query.read_counter import count_chunk_reads
 from atlas.query.window import axis_names, select_window
 from atlas.render import maps, scalar_maps, text
+from atlas.render.color_limits import scale_ends
 from atlas.render.kinds import KIND_TABLE, found_axes
 from atlas.render.layers import LegendEntry, MapLayers, ScalarLayer, build_layers
 from atlas.render.layout import STANDARD, FigureLayout

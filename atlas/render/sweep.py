@@ -16,12 +16,12 @@ from atlas.errors import InputError
 from atlas.query.attractors import branches as branches_of
 from atlas.query.attractors import select_dominant
 from atlas.query.compare import check_same_axis
-from atlas.query.outlines import interleave_exponents
 from atlas.query.plane import CoordinateInfo, PlaneAxis, sort_axes
 from atlas.query.window import spec_of_axis
 from atlas.render import class_maps, raster, style, text
 from atlas.render.kinds import KIND_TABLE
 from atlas.render.layout import STANDARD, FigureLayout
+from atlas.render.outlines import interleave_exponents
 from atlas.render.plotted_values import PlottedValues, shown_label
 from atlas.render.request import PictureRequest
 from workers.results import ATTRACTOR, ERROR, LABEL, LARGEST, NO_IMPACT, PENDING, PER_PERIOD, PERIODIC, REGIME, SPECTRUM

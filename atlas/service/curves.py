@@ -3,7 +3,7 @@
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 from atlas.argument_checks import validate_type
 from atlas.errors import ChunkError
@@ -14,9 +14,10 @@ from atlas.orbits.curves.search import CurveSearch
 from atlas.orbits.curves.search_result import edge_share, finish_search
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.table import Curves, read_curves, write_curves
-from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
+from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.progress import Progress
-from atlas.service.worker_pool import WorkerPool, open_store_call
+from atlas.service.store_call import store_call
+from atlas.service.worker_pool import WorkerPool
 from atlas.store.groups import CURVES
 from atlas.store.object_backend import Given
 from atlas.store.parts import drop_parts, finished_parts, part_names
@@ -97,7 +98,7 @@ def find_curves(
     settings: CurveSettings | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunOptionFields],
+    **fields: Any,
 ) -> CurveSummary:
     """Find the curves of a finished plane, and write them into its store.
 
@@ -105,7 +106,8 @@ def find_curves(
     the options, like ``run``. The same call resumes a search that was stopped. Raise InputError if the store is not a
     finished plane; see also ``run``.
     """
-    with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
+    with store_call(store, client, options, fields) as call:
+        handle = call.open()
         settings = CurveSettings() if settings is None else settings
         validate_type("settings", settings, CurveSettings, "an atlas.CurveSettings")
         search = CurveSearch(plane_of(handle), settings)
@@ -114,9 +116,9 @@ def find_curves(
         if stored is not None:
             return CurveSummary(str(handle.backend), stored)
         check_not_packed(handle.backend)
-        pool = WorkerPool.open(
-            handle, run_and_store, kernels_for(handle.spec.system_def, ORBITS), client, options, stack
-        )
+        call.connect()
+        call.acquire_lease()
+        pool = WorkerPool(call, handle, run_and_store, kernels_for(handle.spec.system_def, ORBITS))
         return _CurveRun(pool.handle, search, digest, pool).run()
 
 

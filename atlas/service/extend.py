@@ -2,21 +2,20 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 from atlas.argument_checks import validate_type
 from atlas.errors import InputError
 from atlas.formatting import plural
-from atlas.service.notebook import progress_reporter
-from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
+from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import complete
+from atlas.service.store_call import store_call
 from atlas.service.summary import RunSummary
 from atlas.spec.extension import extend_spec, refine_spec
 from atlas.spec.spec import Spec
-from atlas.store.object_backend import Given, StoreBackend, is_url, open_backend, sibling_backend, sibling_name
-from atlas.store.origin import Origin
+from atlas.store.object_backend import Given, StoreBackend, is_url, sibling_backend, sibling_name
+from atlas.store.origin import Origin, RetryRequest
 from atlas.store.store import AtlasStore, done_tiles, open_store
 from atlas.task.reuse import count_shared
 from workers import SOLVER_VERSION
@@ -33,7 +32,7 @@ def extend(
     refine: int | Mapping[str, int] | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunOptionFields],
+    **fields: Any,
 ) -> RunSummary:
     """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
@@ -50,42 +49,45 @@ def extend(
     >>> atlas.open("finer.zarr").largest.shape
     (9, 13)
     """
-    options = merge_options(options, fields)
     if spec is not None:
         validate_type("spec", spec, Spec, "an atlas.Spec")
-    old = handle_from(store, options.storage_options)
-    if old.spec.points or (spec is not None and spec.points):
-        raise InputError(
-            f"{old.backend}: a table of points cannot be extended: run the new table into a store of its own"
-        )
-    if old.spec.attractors is not None or (spec is not None and spec.attractors is not None):
-        raise InputError(
-            f"{old.backend}: an atlas of all attractors cannot be extended: run the new one into a store of its own"
-        )
-    if (spec is None) == (refine is None):
-        raise InputError("extend: give either spec or refine")
-    grown = refine_spec(old.spec, refine, old.tile) if spec is None else extend_spec(old.spec, spec, str(old.backend))
-    backend = place_from(old, into, options.storage_options)
-    n_reused = count_shared(old, grown, done_tiles(old))
-    if not n_reused:
-        raise InputError(f"{old.backend}: no finished cell lies on the new grid; compute the new atlas with atlas run")
-    with progress_reporter(options.on_progress) as report:
-        options = replace(options, on_progress=report)
-        options.report(Progress(f"reusing {n_reused} of {plural(math.prod(grown.shape), 'cell')} from {old.backend}"))
-        return complete(grown, backend, client, options, Origin(sibling_name(backend, old.backend), old.run_id))
+    with store_call(into, client, options, fields) as call:
+        old = handle_from(store, call.options.storage_options)
+        if old.spec.points or (spec is not None and spec.points):
+            raise InputError(
+                f"{old.backend}: a table of points cannot be extended: run the new table into a store of its own"
+            )
+        if old.spec.attractors is not None or (spec is not None and spec.attractors is not None):
+            raise InputError(
+                f"{old.backend}: an atlas of all attractors cannot be extended: run the new one into a store of its own"
+            )
+        if (spec is None) == (refine is None):
+            raise InputError("extend: give either spec or refine")
+        if spec is None:
+            grown = refine_spec(old.spec, refine, old.tile)
+        else:
+            grown = extend_spec(old.spec, spec, str(old.backend))
+        origin = origin_for(call.backend, old)
+        n_reused = count_shared(old, grown, done_tiles(old))
+        if not n_reused:
+            raise InputError(
+                f"{old.backend}: no finished cell lies on the new grid; compute the new atlas with atlas run"
+            )
+        reused = f"reusing {n_reused} of {plural(math.prod(grown.shape), 'cell')} from {old.backend}"
+        call.options.report(Progress(reused))
+        return complete(grown, call, origin)
 
 
-def handle_from(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None) -> AtlasStore:
+def handle_from(store: Given, storage_options: Mapping[str, Any] | None) -> AtlasStore:
     """Return the handle of a store whose cells are reused. At a URL the options of the new store apply to it, too."""
     return open_store(store, storage_options if is_url(store) else None)
 
 
-def place_from(old: AtlasStore, into: Given, storage_options: Mapping[str, Any] | None = None) -> StoreBackend:
-    """Return the backend of a new store that reuses the cells of an old one.
+def origin_for(backend: StoreBackend, old: AtlasStore, request: RetryRequest | None = None) -> Origin:
+    """Return an old store as the origin of the cells that the store of ``backend`` reuses.
 
     Raise InputError if it cannot reuse any.
     """
-    backend = open_backend(into, storage_options=storage_options)
     if backend == old.backend:
         raise InputError(f"{backend}: found the store to take cells from, must be another path")
     if sibling_backend(backend, str(old.backend)) != old.backend:
@@ -97,4 +99,4 @@ def place_from(old: AtlasStore, into: Given, storage_options: Mapping[str, Any] 
             f"{old.backend}: computed by solver version {old.solver_version}, installed is {SOLVER_VERSION}; "
             "a store cannot mix solver versions, compute the new atlas with atlas run"
         )
-    return backend
+    return Origin(sibling_name(backend, old.backend), old.run_id, request)

@@ -2,13 +2,13 @@
 
 import time
 from dataclasses import asdict, dataclass
-from typing import Any, Unpack
+from typing import Any
 
 from atlas.formatting import duration, plural, text_repr
 from atlas.orbits.labels.table import LabelCounts, labels_of, stored_count, write_labels
-from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
+from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.service.worker_pool import hold_store_lease, open_store_call
+from atlas.service.store_call import store_call
 from atlas.spec.system import must_offer
 from atlas.store.groups import check_table_size
 from atlas.store.object_backend import Given
@@ -47,12 +47,13 @@ class LabelSummary:
 
 
 @with_fields
-def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unpack[RunOptionFields]) -> LabelSummary:
+def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Any) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
     Return at once if the store has labels. Raise InputError if the store is not a finished atlas of all attractors.
     """
-    with open_store_call(store, None, merge_options(options, fields)) as (handle, options, _):
+    with store_call(store, None, options, fields) as call:
+        handle = call.open()
         stored = stored_count(handle)
         if stored is not None:
             return LabelSummary(str(handle.backend), stored)
@@ -60,9 +61,9 @@ def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unp
         must_offer(handle.spec.system_def, "labels")
         check_table_size(handle, [LABEL])
         begin = time.monotonic()
-        with hold_store_lease(handle.backend, options) as claim:
-            prepare_kernels(options.report, *kernels_for(handle.spec.system_def, ORBITS))
-            options.report(Progress("following orbits from cell to cell"))
-            labels = labels_of(handle)
-            write_labels(handle.with_backend(claim.bind(handle.backend)), labels)
+        call.acquire_lease()
+        prepare_kernels(call.options.report, *kernels_for(handle.spec.system_def, ORBITS))
+        call.options.report(Progress("following orbits from cell to cell"))
+        labels = labels_of(handle)
+        write_labels(handle.with_backend(call.backend), labels)
         return LabelSummary(str(handle.backend), labels.count, time.monotonic() - begin)

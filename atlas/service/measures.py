@@ -4,7 +4,7 @@ import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,9 +34,10 @@ from atlas.robustness.table import (
     summary_of,
     write_measures,
 )
-from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
+from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.progress import Progress
-from atlas.service.worker_pool import WorkerPool, open_store_call
+from atlas.service.store_call import store_call
+from atlas.service.worker_pool import WorkerPool
 from atlas.store.object_backend import Given
 from atlas.store.parts import drop_parts, finished_parts
 from atlas.store.store import AtlasStore
@@ -101,7 +102,7 @@ def measure_attractors(
     norm: Mapping[str, float] | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunOptionFields],
+    **fields: Any,
 ) -> MeasureSummary:
     """Measure the stability of all attractors of a finished atlas, and write the measures into its store.
 
@@ -111,7 +112,8 @@ def measure_attractors(
     the same. The jobs run on ``client`` or on the workers of the options, like ``run``; the same call resumes a
     measurement that was stopped. Raise InputError if the store is not a finished atlas; see also ``run``.
     """
-    with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
+    with store_call(store, client, options, fields) as call:
+        handle = call.open()
         check_store(handle)
         weights = validate_weights(norm, handle.spec.system_def)
         requests = _requests(handle, validate_flag("shocks", shocks), weights)
@@ -122,8 +124,9 @@ def measure_attractors(
             return MeasureSummary(str(handle.backend), summary_of(stored.arrays), stored.requests)
         check_not_packed(handle.backend)
         begin = time.monotonic()
-        kernels = kernels_of(handle.spec)
-        pool = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack)
+        call.connect()
+        call.acquire_lease()
+        pool = WorkerPool(call, handle, measure_and_keep, kernels_of(handle.spec))
         handle = pool.handle
         if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
             raise RunError(f"{handle.backend}: another run has measured it meanwhile; rerun the same command")

@@ -4,9 +4,9 @@ import inspect
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
-from typing import Any, TypedDict, TypeVar, Unpack
+from typing import Any, TypeVar
 
 from atlas.argument_checks import is_integer, validate_path, validate_type
 from atlas.errors import InputError, brief_repr
@@ -99,10 +99,6 @@ class RunOptions:
         validate_type("dashboard", self.dashboard, bool, "true or false")
         validate_type("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
-    def replace_fields(self, **changed: Unpack["RunOptionFields"]) -> "RunOptions":
-        """Return the options with these fields in place of their own; raise TypeError for a name that is no field."""
-        return replace(self, **changed) if changed else self
-
     def report(self, progress: Progress) -> None:
         """Call ``on_progress``, if given, with a snapshot."""
         if self.on_progress is not None:
@@ -128,27 +124,6 @@ def with_fields(function: F) -> F:
     ]
     function.__signature__ = signature.replace(parameters=[*named_parameters, *named])  # type: ignore[attr-defined]
     return function
-
-
-class RunOptionFields(TypedDict, total=False):
-    """Fields of ``RunOptions`` as keywords of a call: ``run(spec, store, workers=4)``."""
-
-    workers: int | None
-    scheduler: str | None
-    tls: Tls | None
-    tile: tuple[int, ...] | None
-    on_progress: Callable[[Progress], None] | None
-    dashboard: bool
-    performance_report: str | os.PathLike[str] | None
-    storage_options: Mapping[str, Any] | None
-    patience: float
-    wait: float
-    timing: Timing
-
-
-def merge_options(options: RunOptions, fields: RunOptionFields) -> RunOptions:
-    """Return the options of a call, with its separate fields."""
-    return validate_type("options", options, RunOptions, "an atlas.RunOptions").replace_fields(**fields)
 
 
 DEFAULTS = RunOptions()

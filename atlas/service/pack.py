@@ -3,7 +3,6 @@
 import glob
 import os
 import re
-import uuid
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -14,7 +13,7 @@ from typing import Any
 from atlas.argument_checks import validate_flag, validate_path
 from atlas.errors import ChunkError, InputError
 from atlas.formatting import byte_size, plural, text_repr
-from atlas.platform import file_lock
+from atlas.platform import file_lock, move_whole, temporary_beside
 from atlas.service.lease import LeaseObserver
 from atlas.service.notebook import progress_reporter
 from atlas.service.progress import Progress
@@ -184,21 +183,14 @@ def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
         if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
             with suppress(OSError), _held(left, timeout=0):
                 left.unlink()
-    unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
-    with ExitStack() as lock:
+    with temporary_beside(target, ".") as unfinished, ExitStack() as lock:
         with suppress(OSError):  # a file system without locks
             lock.enter_context(_held(unfinished))
-        try:
-            with unfinished.open("wb") as file:
-                with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:
-                    for key, data in members:
-                        member = zipfile.ZipInfo(key, _SINCE)
-                        member.external_attr = 0o644 << 16
-                        archive.writestr(member, data)
-                file.flush()
-                os.fsync(file.fileno())  # otherwise a crash may keep the rename and lose the content
-            size = unfinished.stat().st_size
-            os.replace(unfinished, target)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:
+            for key, data in members:
+                member = zipfile.ZipInfo(key, _SINCE)
+                member.external_attr = 0o644 << 16
+                archive.writestr(member, data)
+        size = unfinished.stat().st_size
+        move_whole(unfinished, target)
     return size

@@ -1,22 +1,20 @@
 """Solving some cells of an atlas again, into a new store that takes over all other cells of the old store."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Unpack
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 from atlas.argument_checks import check_name, is_integer, validate_type
 from atlas.errors import InputError, check_names
 from atlas.formatting import plural
-from atlas.service.extend import handle_from, place_from
-from atlas.service.notebook import progress_reporter
-from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
+from atlas.service.extend import handle_from, origin_for
+from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.service.status import read_status
+from atlas.service.store_call import store_call
 from atlas.service.summary import RunSummary
-from atlas.spec.spec import Spec
-from atlas.store.object_backend import Given, StoreBackend, sibling_name
-from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, BudgetVariable, Origin, RetryRequest
+from atlas.store.object_backend import Given
+from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, BudgetVariable, RetryRequest
 from atlas.store.store import AtlasStore
 from workers.results import APERIODIC, CHAOTIC, REGIMES, UNDETERMINED
 from workers.settings import MAX_PERIODS
@@ -38,7 +36,7 @@ def retry(
     survival: int | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunOptionFields],
+    **fields: Any,
 ) -> RunSummary:
     """Solve some cells of a complete atlas again, with more periods, into a new store that takes over all other cells.
 
@@ -58,43 +56,26 @@ def retry(
     >>> summary.retried, atlas.status("again.zarr").fraction
     (True, 1.0)
     """
-    options = merge_options(options, fields)
-    spec, backend, origin, report = prepare_retry(store, into, regimes, max_periods, survival, options.storage_options)
-    with progress_reporter(options.on_progress) as on_progress:
-        options = replace(options, on_progress=on_progress)
-        options.report(Progress(report))
-        return complete(spec, backend, client, options, origin)
-
-
-def prepare_retry(
-    store: "Given | AtlasStore",
-    into: Given,
-    regimes: str | Iterable[str],
-    max_periods: int | None,
-    survival: int | None,
-    storage_options: Mapping[str, Any] | None = None,
-) -> tuple[Spec, StoreBackend, Origin, str]:
-    """Return the spec of a retry, the backend of its new store, the origin of its other cells, and a progress line.
-
-    Raise InputError if the retry could change no cell.
-    """
-    old = handle_from(store, storage_options)
-    if old.spec.attractors is not None:
-        raise InputError(f"{old.backend}: an atlas of all attractors cannot be retried: run it again with more periods")
-    if old.spec.continuation is not None:
-        raise InputError(
-            f"{old.backend}: a continued sweep cannot be retried: each cell depends on the cells before it"
-        )
-    names = regimes.split(",") if isinstance(regimes, str) else validate_type("regimes", regimes, Iterable, "names")
-    request = validate_retry(old, tuple(names), max_periods, survival)
-    backend = place_from(old, into, storage_options)
-    status = read_status(old)
-    if status.fraction < 1:
-        tiles_text = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
-        raise InputError(f"{old.backend}: {tiles_text} done: complete it first, with the command that began it")
-    count = sum(status.regimes.get(name, 0) for name in request.regimes)
-    report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.backend} again"
-    return old.spec.in_tiles(old.tile), backend, Origin(sibling_name(backend, old.backend), old.run_id, request), report
+    with store_call(into, client, options, fields) as call:
+        old = handle_from(store, call.options.storage_options)
+        if old.spec.attractors is not None:
+            raise InputError(
+                f"{old.backend}: an atlas of all attractors cannot be retried: run it again with more periods"
+            )
+        if old.spec.continuation is not None:
+            raise InputError(
+                f"{old.backend}: a continued sweep cannot be retried: each cell depends on the cells before it"
+            )
+        names = regimes.split(",") if isinstance(regimes, str) else validate_type("regimes", regimes, Iterable, "names")
+        request = validate_retry(old, tuple(names), max_periods, survival)
+        origin = origin_for(call.backend, old, request)
+        status = read_status(old)
+        if status.fraction < 1:
+            tiles_text = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
+            raise InputError(f"{old.backend}: {tiles_text} done: complete it first, with the command that began it")
+        count = sum(status.regimes.get(name, 0) for name in request.regimes)
+        call.options.report(Progress(f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.backend} again"))
+        return complete(old.spec.in_tiles(old.tile), call, origin)
 
 
 def validate_retry(

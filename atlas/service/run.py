@@ -1,28 +1,25 @@
 """Running an atlas: lease and create or resume its store, solve the unfinished tiles, and add up their reports."""
 
 import math
-from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any
 
 from atlas.argument_checks import validate_type
 from atlas.errors import InputError, RunError
 from atlas.formatting import plural
 from atlas.overview.builder import OverviewBuilder
-from atlas.service.clients import check_client, connect_client, worker_count
-from atlas.service.cluster import leave_if_bootstrapping
 from atlas.service.dispatch import MIN_WORKER_MEMORY, WorkerStatus
-from atlas.service.notebook import progress_reporter
-from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
+from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.plan import Plan, check_free_space, plan_of_run
 from atlas.service.progress import Progress, prepare_kernels
+from atlas.service.store_call import StoreCall, store_call
 from atlas.service.summary import RunSummary, RunTotals, TileFailure
 from atlas.service.tile_order import TileOrder
-from atlas.service.worker_pool import WorkerPool, hold_store_lease
+from atlas.service.worker_pool import WorkerPool
 from atlas.spec.spec import Spec
 from atlas.store.create import check_run, create_store
 from atlas.store.groups import ATTRACTORS, group_attributes
-from atlas.store.object_backend import Given, StoreBackend, open_backend, with_patience
+from atlas.store.object_backend import Given
 from atlas.store.origin import Origin
 from atlas.store.store import AtlasStore, done_mask, find_store
 from atlas.store.tile_records import RunTileRecords, TileRecords
@@ -49,7 +46,7 @@ def run(
     store: Given,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunOptionFields],
+    **fields: Any,
 ) -> RunSummary:
     """Compute an atlas into a store, or complete one that an earlier run of the same spec began.
 
@@ -72,52 +69,39 @@ def run(
     >>> summary.cells_solved, summary.failures
     (4, ())
     """
-    options = merge_options(options, fields)
     validate_type("spec", spec, Spec, "an atlas.Spec")
-    with progress_reporter(options.on_progress) as report:
-        backend = open_backend(store, storage_options=options.storage_options)
-        return complete(spec, backend, client, replace(options, on_progress=report))
+    with store_call(store, client, options, fields) as call:
+        return complete(spec, call)
 
 
-def complete(
-    spec: Spec,
-    backend: StoreBackend,
-    client: "Client | None" = None,
-    options: RunOptions = DEFAULTS,
-    origin: Origin | None = None,
-) -> RunSummary:
-    """Create or complete a store, and return the summary of the run; see ``run``.
+def complete(spec: Spec, call: StoreCall, origin: Origin | None = None) -> RunSummary:
+    """Create or complete the store of a call, and return the summary of the run; see ``run``.
 
     ``origin`` is the store whose cells are reused; None for a store of its own.
     """
-    leave_if_bootstrapping()
-    check_client(client, options)
-    with ExitStack() as stack:
-        handle = find_store(backend)  # reads only, so that bad input leaves no trace
-        check_run(backend, spec, handle, origin)
-        client = connect_client(client, options, stack)
-        workers = worker_count(client, options)
-        plan = plan_of_run(spec, backend, handle, workers, options.tile)
-        claim = stack.enter_context(hold_store_lease(backend, options))
-        backend = claim.bind(with_patience(backend, options.patience))
-        before = handle  # before the lease another run may have created or replaced the store
-        handle = find_store(backend) if before is None else before.with_backend(backend).current()
-        if handle is None or before is None or handle.run_id != before.run_id:
-            check_run(backend, spec, handle, origin)
-        if handle is None:
-            options.report(Progress("creating the store"))
-            handle = create_store(backend, spec, plan.tiling.tile, origin)
-        kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
-        pool = WorkerPool(handle, execute_job, kernels, options, claim, stack, workers, client, memory)
-        run = _Run(handle, pool, replace(plan, tiling=handle.tiling))
-        if options.tile is not None:
-            run.do_alone(options.tile)
-            return run.totals.summary(str(backend))
-        run.begin()
-        if run.needs_workers or (client is not None and run.overviews):
-            run.hand_out()
-        run.finish()
-    return run.totals.summary(str(backend))
+    options, tile = call.options, call.options.tile
+    handle = find_store(call.backend)  # reads only, so that bad input leaves no trace
+    check_run(call.backend, spec, handle, origin)
+    call.connect()
+    plan = plan_of_run(spec, call.backend, handle, call.threads, tile)
+    call.acquire_lease()
+    before = handle  # before the lease another run may have created or replaced the store
+    handle = find_store(call.backend) if before is None else before.with_backend(call.backend).current()
+    if handle is None or before is None or handle.run_id != before.run_id:
+        check_run(call.backend, spec, handle, origin)
+    if handle is None:
+        options.report(Progress("creating the store"))
+        handle = create_store(call.backend, spec, plan.tiling.tile, origin)
+    pool = WorkerPool(call, handle, execute_job, kernels_of(handle.spec), memory_of(math.prod(handle.tile)))
+    run = _Run(handle, pool, replace(plan, tiling=handle.tiling))
+    if tile is not None:
+        run.do_alone(tile)
+        return run.totals.summary(str(call.backend))
+    run.begin()
+    if run.needs_workers or (call.client is not None and run.overviews):
+        run.hand_out()
+    run.finish()
+    return run.totals.summary(str(call.backend))
 
 
 class _Run:
@@ -152,7 +136,7 @@ class _Run:
         handle = self.handle
         if not self.due[index]:
             raise InputError(f"{handle.backend}: tile {index} is already finished")
-        prepare_kernels(self.pool.options.report, *self.pool.kernels)
+        prepare_kernels(self.pool.call.options.report, *self.pool.kernels)
         self.begin()
         self.totals.start()
         self.report(f"solving tile {index} in this process")
@@ -201,15 +185,15 @@ class _Run:
             failed = outcome.message if isinstance(outcome, TileFailure) else ""
             if fault := outcome.fault if isinstance(outcome, DerivedReport) else failed:
                 note = f"overview {jobs[0].level}, chunk {outcome.index}: {fault}; this process builds it at the end"
-                self.pool.options.report(replace(self.totals.progress(self.stage), note=note))
+                self.pool.call.options.report(replace(self.totals.progress(self.stage), note=note))
 
     def _tick(self, workers: WorkerStatus) -> None:
         totals = self.totals
-        self.pool.lease.check(lambda: self.report("waiting for the store: no response"))
+        self.pool.call.lease.check(lambda: self.report("waiting for the store: no response"))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.excluded
         totals.trouble = workers.trouble
         self.records.save()
-        self.pool.lease.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
+        self.pool.call.lease.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
         self.report(
             workers.trouble or (self.stage if workers.threads else "no workers connected: waiting for one to join")
         )
@@ -221,7 +205,7 @@ class _Run:
 
     def report(self, stage: str) -> None:
         """Report the stage of the run."""
-        self.pool.options.report(self.totals.progress(stage))
+        self.pool.call.options.report(self.totals.progress(stage))
 
 
 def memory_of(cells: int) -> int:

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import uuid
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import copy
@@ -10,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from stat import S_ISDIR
 from typing import Self
+
+from atlas.platform import flush, move_whole, temporary_beside
 
 _ABSENT = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
 """Exceptions of operating systems for a missing object."""
@@ -157,8 +158,8 @@ class LocalBackend(StoreBackend):
         return None if S_ISDIR(stat.st_mode) else (stat.st_ino, stat.st_mtime_ns, stat.st_size)
 
     def put(self, key: str, data: bytes) -> None:
-        with self._written(key, lambda written: _write_flushed(written, data)) as written:
-            os.replace(written, self.path / key)
+        with self._written(key, lambda written: written.write_bytes(data)) as written:
+            move_whole(written, self.path / key)
 
     def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
         """See ``StoreBackend``. On one file system objects are linked: objects are replaced, never changed."""
@@ -181,7 +182,8 @@ class LocalBackend(StoreBackend):
 
     def put_new(self, key: str, data: bytes) -> bool:
         target = self.path / key
-        with self._written(key, lambda written: _write_flushed(written, data)) as written:
+        with self._written(key, lambda written: written.write_bytes(data)) as written:
+            flush(written)
             try:
                 os.link(written, target)  # appears whole or not at all, on network disks too
             except FileExistsError:
@@ -211,8 +213,7 @@ class LocalBackend(StoreBackend):
         The file is removed unless the block moves it.
         """
         target = self.path / key
-        written = target.with_name(f"{target.name}.{uuid.uuid4().hex}.partial")
-        try:
+        with temporary_beside(target) as written:
             for last in (False, True):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with suppress(*() if last else (FileNotFoundError,)):  # another process may just remove the folder
@@ -220,18 +221,8 @@ class LocalBackend(StoreBackend):
                     break
             self._clear(key)
             yield written
-        finally:
-            written.unlink(missing_ok=True)
 
     def _clear(self, key: str) -> None:
         """Remove an empty folder at the key of an object; raise OSError if it is not empty."""
         if (self.path / key).is_dir():
             (self.path / key).rmdir()
-
-
-def _write_flushed(path: Path, data: bytes) -> None:
-    """Write a file that will be renamed, and flush it to the disk: otherwise a crash may leave an empty file."""
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())

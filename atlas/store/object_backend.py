@@ -40,8 +40,6 @@ _SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
 AT_ONCE = 64
 """Number of simultaneous requests to a server, which answers all of them as soon as one."""
 _T = TypeVar("_T")
-_beyond: Mapping[str, Any] = {}
-"""Default storage options of URLs in this process."""
 
 
 def open_backend(
@@ -76,21 +74,9 @@ def open_backend(
         return _place_at(validate_path(begin + url2pathname(parts.path), "store").absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
-    options = storage_options or _beyond
-    access = access_by(options, store) if options else BY_ENVIRONMENT
+    access = access_by(storage_options, store) if storage_options else BY_ENVIRONMENT
     url, access = signed_in(store.rstrip("/"), access)
     return _checked(ObjectBackend(url, access, patience))
-
-
-@contextmanager
-def default_storage_options(storage_options: Mapping[str, Any]) -> Iterator[None]:
-    """Use these storage options for URLs without their own, within the block and in threads started there."""
-    global _beyond
-    before, _beyond = _beyond, storage_options
-    try:
-        yield
-    finally:
-        _beyond = before
 
 
 def _checked(backend: "ObjectBackend") -> "ObjectBackend":

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from atlas.query.outlines import small_regions
 from atlas.render.coded_maps import coded_maps
+from atlas.render.outlines import small_regions
 from atlas.render.raster import MAX_MARKS, VISIBLE
 from tests import pictures
 from tests.explore.modules import FRONT, run

@@ -1,5 +1,6 @@
 """Claims about ``import atlas``: what it offers, and that it loads nothing before it is used."""
 
+import inspect
 import json
 import subprocess
 import sys
@@ -10,7 +11,6 @@ import pytest
 import xarray as xr
 
 import atlas
-from atlas.service.options import RunOptionFields
 from atlas.service.progress import Progress
 from tests.paths import ROOT
 from tests.synthetic import complete
@@ -18,6 +18,7 @@ from tests.synthetic import complete
 PUBLIC = ["RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point", "retry"]
 PUBLIC += ["System", "attractors", "measure_attractors", "plan", "saddles", "stability", "status", "trace"]
 PUBLIC += ["CurveSettings", "branch", "find_curves", "label_attractors", "portrait", "run", "solve_tile", "verify"]
+PUBLIC += ["time_history"]
 
 
 def in_a_new_process(code: str) -> object:
@@ -84,7 +85,7 @@ def test_fields_of_the_options_are_keywords_of_a_run_and_its_status_is_that_of_t
 
 def test_a_keyword_that_is_no_option_is_a_type_error(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="wokers"):
-        atlas.run(atlas.Spec.from_toml("tiny"), tmp_path / "a.zarr", wokers=1)  # type: ignore[call-arg]
+        atlas.run(atlas.Spec.from_toml("tiny"), tmp_path / "a.zarr", wokers=1)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -99,5 +100,7 @@ def test_an_atlas_opened_in_chunks_has_dask_arrays_of_the_same_values(
     assert lazy.atlas.fractions().to_dict() == ds.atlas.fractions().to_dict()
 
 
-def test_every_option_of_a_run_is_a_keyword_of_a_run() -> None:
-    assert list(RunOptionFields.__annotations__) == [field.name for field in fields(atlas.RunOptions)]
+def test_every_option_of_a_run_is_a_keyword_of_each_call_that_computes() -> None:
+    options = {field.name for field in fields(atlas.RunOptions)}
+    calls = (atlas.run, atlas.extend, atlas.retry, atlas.find_curves, atlas.label_attractors, atlas.measure_attractors)
+    assert all(options <= inspect.signature(call).parameters.keys() for call in calls)

@@ -92,7 +92,7 @@ def test_exponents_have_mean_count_and_positive_share_of_the_finite_values(
     shared: store.AtlasStore, level: int
 ) -> None:
     largest = atlas.open(shared.path).largest.values
-    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}")
+    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}", chunks=None)
     finite = each_block(largest, level, lambda block: np.isfinite(block).sum())
     positive = each_block(largest, level, lambda block: (np.isfinite(block) & (block > 0)).sum())
     np.testing.assert_allclose(coarse.largest.values, each_block(largest, level, mean), rtol=1e-12)
@@ -103,7 +103,7 @@ def test_exponents_have_mean_count_and_positive_share_of_the_finite_values(
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_the_regime_is_the_most_frequent_one_and_a_tie_goes_to_the_later(shared: store.AtlasStore, level: int) -> None:
     codes = atlas.open(shared.path).regime.values
-    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}")
+    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}", chunks=None)
     np.testing.assert_array_equal(coarse.regime.values, each_block(codes, level, mode))
 
 
@@ -112,7 +112,7 @@ def test_period_and_impacts_are_those_of_a_periodic_cell_below(shared: store.Atl
     base = atlas.open(shared.path).load()
     names = ["period", "impacts_upper", "impacts_lower"]
     triples = np.stack([base[name].values for name in names], axis=-1)
-    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}").load()
+    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}", chunks=None).load()
     n = 2**level
     for y, x in np.ndindex(coarse.regime.shape):
         part = np.s_[y * n : y * n + n, x * n : x * n + n]
@@ -138,7 +138,7 @@ def test_at_the_first_level_the_triple_is_the_most_frequent_and_a_tie_goes_to_th
 
 def test_flags_and_costs_are_means_over_the_solved_cells(shared: store.AtlasStore) -> None:
     base = atlas.open(shared.path)
-    coarse = xr.open_zarr(shared.path, group="overviews/2")
+    coarse = xr.open_zarr(shared.path, group="overviews/2", chunks=None)
     for name in ("sticks", "periods_used"):
         np.testing.assert_allclose(coarse[name].values, each_block(base[name].values, 2, np.mean), rtol=1e-12)
     np.testing.assert_array_equal(coarse.cells.values, each_block(base.regime.values, 2, np.size))
@@ -151,7 +151,7 @@ def test_shares_weigh_cells_by_their_widths_on_a_log_axis(tmp_path: Path) -> Non
     widths = np.broadcast_to(np.diff(edges), (38, 45))
     codes = atlas.open(handle.path).regime.values
     for level in (1, 3):
-        coarse = xr.open_zarr(handle.path, group=f"overviews/{level}")
+        coarse = xr.open_zarr(handle.path, group=f"overviews/{level}", chunks=None)
         chaotic = each_block(np.where(codes == CHAOTIC, widths, 0), level, np.sum) / each_block(widths, level, np.sum)
         np.testing.assert_allclose(coarse.regime_share.sel({"class": "chaotic"}), chaotic, rtol=1e-9)
 
@@ -166,7 +166,7 @@ def test_one_failed_cell_is_shown_at_every_level(handle: store.AtlasStore, level
             made["regime"][1, 2] = FAILED
         write_tile(handle, index, made)
     keep(handle)
-    coarse = xr.open_zarr(handle.path, group=f"overviews/{level}")
+    coarse = xr.open_zarr(handle.path, group=f"overviews/{level}", chunks=None)
     assert np.argwhere(coarse.regime_shown.values == FAILED).tolist() == [[9 >> level, 18 >> level]]
 
 
@@ -224,7 +224,7 @@ def test_the_blocks_of_the_chunks_of_a_level_cover_its_cells_once() -> None:
 
 def test_plain_xarray_opens_the_store_and_each_level_without_a_warning(shared: store.AtlasStore) -> None:
     assert xr.open_zarr(shared.path).regime.shape == (38, 45)
-    coarse = xr.open_zarr(shared.path, group="overviews/1")
+    coarse = xr.open_zarr(shared.path, group="overviews/1", chunks=None)
     assert coarse.regime.dims == ("b_coarse", "omega_coarse")
     assert coarse.regime.shape == (19, 23)
     assert float(coarse.R) == 0.8
@@ -232,7 +232,7 @@ def test_plain_xarray_opens_the_store_and_each_level_without_a_warning(shared: s
 
 
 def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.AtlasStore) -> None:
-    coarse = xr.open_zarr(shared.path, group="overviews/2")
+    coarse = xr.open_zarr(shared.path, group="overviews/2", chunks=None)
     step = 3.0 / 44
     edges = 1.0 - step / 2 + step * np.minimum(np.arange(13) * 4, 45)
     np.testing.assert_allclose(coarse.omega_coarse_bounds.values, np.stack([edges[:-1], edges[1:]], 1), rtol=1e-12)
@@ -312,7 +312,7 @@ def begun(tmp_path: Path) -> Path:
 
 def test_a_run_leaves_overviews_of_all_levels(begun: Path, tmp_path: Path, client: Client) -> None:
     atlas.run(plane_of(), begun, client=client)
-    coarse = xr.open_zarr(tmp_path / "a.zarr", group="overviews/1")
+    coarse = xr.open_zarr(tmp_path / "a.zarr", group="overviews/1", chunks=None)
     assert (coarse.regime.values != PENDING).all()
     assert int(coarse.cells.sum()) == 35
     assert_view_is_true(store.open_store(tmp_path / "a.zarr"))
@@ -324,7 +324,7 @@ def test_finished_parts_of_an_unfinished_atlas_get_overviews(handle: store.Atlas
     for tile in first:
         write_tile(handle, tile, results(handle, tile))
     keep(handle)
-    coarse = xr.open_zarr(handle.path, group="overviews/1").regime.values
+    coarse = xr.open_zarr(handle.path, group="overviews/1", chunks=None).regime.values
     assert np.array_equal(np.argwhere(coarse != PENDING), np.argwhere(np.ones((8, 8))))
     assert_view_is_true(handle)
 

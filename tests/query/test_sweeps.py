@@ -8,8 +8,7 @@ from PIL import Image
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import outlines
-from atlas.render import sweep
+from atlas.render import outlines, sweep
 from tests.pictures import labels, line, plane
 
 

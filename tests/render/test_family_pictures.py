@@ -12,8 +12,8 @@ from atlas import render
 from atlas.cell import trajectory as cell
 from atlas.cell.trajectory import CellTrajectory, cell_orbit, describe
 from atlas.errors import InputError
-from atlas.query import grazing, machine
-from atlas.render import text
+from atlas.query import machine
+from atlas.render import grazing, text
 from atlas.spec.system import stored_system
 from tests.pictures import labels
 from workers.model.system import System, find_system

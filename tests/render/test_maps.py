@@ -14,10 +14,9 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import grazing, label_placement, outlines
 from atlas.query.plane import Plane, sort_axes
 from atlas.query.queries import boundary
-from atlas.render import class_maps, kinds, overlays, painters, scalar_maps
+from atlas.render import class_maps, grazing, kinds, label_placement, outlines, overlays, painters, scalar_maps
 from atlas.render.coded_lines import names_on
 from atlas.render.coded_maps import coded_map
 from atlas.render.layers import LegendEntry, paint

@@ -12,10 +12,9 @@ from PIL import Image
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import color_limits
 from atlas.query.plane import CoordinateInfo
 from atlas.query.window import cell_edges
-from atlas.render import scalar_maps, style, text
+from atlas.render import color_limits, scalar_maps, style, text
 from atlas.render.class_maps import PERIODS
 from atlas.render.layers import paint
 from tests.pictures import NAN, atlas, colour, every_regime, labels, layers, pixel, section, sweep

@@ -223,7 +223,7 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
         write_measures(handle, theirs)
         yield SimpleNamespace(bind=lambda place: place)
 
-    monkeypatch.setattr("atlas.service.worker_pool.hold_store_lease", claimed_late)
+    monkeypatch.setattr("atlas.service.store_call.hold_store_lease", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; rerun the same command"):
         measure_attractors(handle.path, client=client)
     assert read_measures(handle).requests == theirs.requests

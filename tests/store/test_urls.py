@@ -18,7 +18,7 @@ from atlas.argument_checks import validate_path
 from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, without_secrets
 from atlas.query.export import export
-from atlas.service.extend import place_from
+from atlas.service.extend import origin_for
 from atlas.store.access import BY_ENVIRONMENT
 from atlas.store.object_backend import LocalBackend, ObjectBackend, open_backend, picklable_backend
 from atlas.store.sidecar import sidecar_of
@@ -101,7 +101,7 @@ def test_a_store_that_needs_a_secret_is_no_origin_of_one_that_lacks_it(
     """The attribute ``origin`` has no secret, so that workers could not open it."""
     old = open_store(solved_plane).with_backend(open_backend(url))
     with pytest.raises(InputError, match="workers reach it in the same way") as caught:
-        place_from(old, tmp_path / "new.zarr")
+        origin_for(open_backend(tmp_path / "new.zarr"), old)
     assert SECRET not in str(caught.value)
 
 

@@ -12,8 +12,8 @@ import xarray as xr
 
 from atlas import Spec, branch
 from atlas.cell.trajectory import samples_of
-from atlas.query.grazing import grazing_ratio
 from atlas.query.queries import per_unit_time
+from atlas.render.grazing import grazing_ratio
 from atlas.robustness.norm import weights_of
 from atlas.spec.equation import equation_of
 from tests.support.oracle import OracleMachine, simulate

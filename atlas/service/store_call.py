@@ -1,0 +1,105 @@
+"""A call that computes into a store: its options, the store's backend and lease, and the client of its workers."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from atlas.argument_checks import validate_type
+from atlas.service.clients import check_client, connect_client, worker_count
+from atlas.service.cluster import leave_if_bootstrapping
+from atlas.service.lease import Lease, hold_lease
+from atlas.service.notebook import progress_reporter
+from atlas.service.options import RunOptions
+from atlas.service.progress import Progress
+from atlas.store.create import remove_half_made
+from atlas.store.object_backend import Given, StoreBackend, open_backend, with_patience
+from atlas.store.sidecar import LEASE_NAME, clear_sidecar, read_lease_token, sidecar_of
+from atlas.store.store import AtlasStore, open_store
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+@dataclass
+class StoreCall:
+    """A call that computes into a store; what it holds is released when ``stack`` is closed.
+
+    backend   backend of the store; once the store is leased, its commits confirm the lease
+    options   options of the call, with a reporter of its progress
+    client    client of the workers; None if a local cluster is to be started
+    stack     what the call holds until it ends
+    threads   number of worker threads, once connected
+    lease     lease of the store, once acquired
+    """
+
+    backend: StoreBackend
+    options: RunOptions
+    client: "Client | None"
+    stack: ExitStack
+    threads: int = 0
+    lease: Lease = field(init=False)
+
+    def open(self) -> AtlasStore:
+        """Return the handle of the store. It waits ``options.patience`` seconds for a server that does not respond.
+
+        Raise InputError if there is no atlas.
+        """
+        return open_store(with_patience(self.backend, self.options.patience))
+
+    def connect(self) -> None:
+        """Find the workers: those of the client, of the options' scheduler, of an active client, or of this host."""
+        self.client = connect_client(self.client, self.options, self.stack)
+        self.threads = worker_count(self.client, self.options)
+
+    def acquire_lease(self) -> None:
+        """Lease the store until the call ends. Raise InputError if another run holds the lease."""
+        self.lease = self.stack.enter_context(hold_store_lease(self.backend, self.options))
+        self.backend = self.lease.bind(with_patience(self.backend, self.options.patience))
+
+
+@contextmanager
+def store_call(
+    store: Given, client: "Client | None", options: RunOptions, fields: Mapping[str, Any]
+) -> Iterator[StoreCall]:
+    """Begin a call with these options, of which ``fields`` replace some, and end it with the block.
+
+    Raise InputError if the client contradicts the options, and TypeError for a field that is no option.
+    """
+    leave_if_bootstrapping()
+    options = replace(validate_type("options", options, RunOptions, "an atlas.RunOptions"), **fields)
+    check_client(client, options)
+    with progress_reporter(options.on_progress) as report, ExitStack() as stack:
+        backend = open_backend(store, storage_options=options.storage_options)
+        yield StoreCall(backend, replace(options, on_progress=report), client, stack)
+
+
+@contextmanager
+def hold_store_lease(backend: StoreBackend, options: RunOptions) -> Iterator[Lease]:
+    """Hold the lease of a store within the block.
+
+    Partial stores left by killed runs are removed at the start, and the sidecar files of this run at the end. A single
+    heartbeat waits only as long as the backend does. The run as a whole waits ``options.patience`` seconds for the
+    store; meanwhile every commit still confirms the lease.
+    """
+    notes = sidecar_of(with_patience(backend, options.patience))
+
+    def say(text: str) -> None:
+        options.report(Progress(text))
+
+    def tidy() -> None:
+        if read_lease_token(notes) == claim.token:  # else the sidecar belongs to another run
+            clear_sidecar(notes, (key for key in notes.list_keys() if key != LEASE_NAME))
+
+    patience = options.patience if backend.local is None else 0.0
+    with hold_lease(sidecar_of(backend), str(backend), say, options.timing, patience) as claim:
+        if backend.local is not None:
+            remove_half_made(backend.local)
+        try:
+            yield claim
+        except Exception:
+            raise  # sidecar files of unfinished tiles stay: the tiles may be the cause
+        except BaseException:
+            tidy()
+            raise
+        tidy()
