@@ -35,4 +35,5 @@ def _foreign(handle: AtlasStore, folder: str, variable: Variable, grid: tuple[in
     root = f"{folder}{variable.name}/c"
     full_grid = grid + (1,) * len(variable.extra_dims)  # all numbers of a cell lie in one chunk
     keys = list(handle.backend.list_keys(f"{root}/"))
-    yield from sorted(key for key, place in zip(keys, chunk_places(keys, root, full_grid), strict=True) if place < 0)
+    at = chunk_places(keys, root, full_grid)
+    yield from sorted(key for key, position in zip(keys, at, strict=True) if position < 0)

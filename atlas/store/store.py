@@ -286,15 +286,15 @@ def is_free(backend: StoreBackend) -> bool:
     return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
-def done_mask(handle: AtlasStore, whole: bool = True) -> NDArray[np.bool_]:
+def done_mask(handle: AtlasStore, skip_empty: bool = True) -> NDArray[np.bool_]:
     """Return the mask (grid) of the finished tiles, whose regime chunk exists, from one listing.
 
-    Unless ``whole``, files that a crash has emptied are not told from others: on a disk that takes most of the time.
+    With ``skip_empty`` the tiles whose file a crash has emptied are unfinished; on a disk this takes most of the time.
     """
     grid, backend, folder = handle.tiling.grid, handle.backend, f"{REGIME.name}/c"
     keys = backend.list_keys(f"{folder}/")
     return chunk_mask(
-        backend.whole_keys(keys) if whole else keys, folder, (*grid, *(1 for _ in handle.regime.extra_dims))
+        backend.whole_keys(keys) if skip_empty else keys, folder, (*grid, *(1 for _ in handle.regime.extra_dims))
     ).reshape(grid)
 
 

@@ -72,7 +72,7 @@ class TileRecords:
             checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
             if all(checks):
                 return np.ones(self.handle.tiling.grid, dtype=bool)
-        return done_mask(self.handle, whole=False)
+        return done_mask(self.handle, skip_empty=False)
 
     @cached_property
     def _masks(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -41,8 +41,8 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
     drop_tile(handle, (1, 1))
     notes.put_new(LEASE_NAME, claim().pack())
 
-    def slow(of: AtlasStore, whole: bool) -> NDArray[np.bool_]:
-        found = counted(of, whole)
+    def slow(of: AtlasStore, skip_empty: bool) -> NDArray[np.bool_]:
+        found = counted(of, skip_empty)
         if notes.get(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
             write_tile(handle, (1, 1), last)
             notes.remove(LEASE_NAME)
@@ -60,9 +60,9 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     counted, whole = tile_records.done_mask, LocalBackend.get
     looks: list[str] = []
 
-    def count(of: AtlasStore, whole: bool) -> NDArray[np.bool_]:
+    def count(of: AtlasStore, skip_empty: bool) -> NDArray[np.bool_]:
         looks.append("tiles")
-        return counted(of, whole)
+        return counted(of, skip_empty)
 
     def read(place: LocalBackend, name: str, part: slice | None = None) -> bytes | None:
         looks.extend([name] * (place.path.suffix == ".run"))
