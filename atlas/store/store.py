@@ -286,16 +286,14 @@ def is_free(backend: StoreBackend) -> bool:
     return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
-def done_mask(handle: AtlasStore, skip_empty: bool = True) -> NDArray[np.bool_]:
-    """Return the mask (grid) of the finished tiles, whose regime chunk exists, from one listing.
+def done_mask(handle: AtlasStore) -> NDArray[np.bool_]:
+    """Return the mask (grid) of the finished tiles, whose regime chunk exists and is not empty, from one listing.
 
-    With ``skip_empty`` the tiles whose file a crash has emptied are unfinished; on a disk this takes most of the time.
+    A crash may have emptied files. On a disk, looking at their sizes takes most of the time.
     """
     grid, backend, folder = handle.tiling.grid, handle.backend, f"{REGIME.name}/c"
-    keys = backend.list_keys(f"{folder}/")
-    return chunk_mask(
-        backend.whole_keys(keys) if skip_empty else keys, folder, (*grid, *(1 for _ in handle.regime.extra_dims))
-    ).reshape(grid)
+    keys = backend.whole_keys(backend.list_keys(f"{folder}/"))
+    return chunk_mask(keys, folder, (*grid, *(1 for _ in handle.regime.extra_dims))).reshape(grid)
 
 
 def done_tiles(handle: AtlasStore) -> set[tuple[int, ...]]:

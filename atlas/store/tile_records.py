@@ -72,7 +72,7 @@ class TileRecords:
             checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
             if all(checks):
                 return np.ones(self.handle.tiling.grid, dtype=bool)
-        return done_mask(self.handle, skip_empty=False)
+        return done_mask(self.handle)
 
     @cached_property
     def _masks(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -92,16 +92,12 @@ class TileRecords:
     def valid_blocks(self) -> Iterator[tuple[Block, Rows, NDArray[np.bool_]]]:
         """Yield which tiles each chunk is of, their rows, zeros without a valid one, and the mask of the finished ones.
 
-        Rows use memory for one chunk alone. A record follows the flushed ``regime`` of its tile: a crash may have
-        emptied only those of other tiles.
+        Rows use memory for one chunk alone.
         """
         finished = (self._listed if self._given is None else self._given).copy()
         known, self.lost = np.zeros_like(finished), []
         for block, rows in self._blocks():
             valid = add_up(rows, self._sizes[block])
-            if self._given is None and self.handle.backend.local is not None:
-                for index in _tiles(finished[block] & ~valid, block):
-                    finished[index] = is_done(self.handle, index)
             self.lost += _tiles(valid & ~finished[block], block)
             known[block] = valid & finished[block]
             rows[~known[block]] = 0.0

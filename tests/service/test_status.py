@@ -24,7 +24,6 @@ from atlas.store.create import create_store
 from atlas.store.object_backend import LocalBackend
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import AtlasStore, open_store
-from atlas.store.tile_records import forget_records
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.planes import plane_of
 
@@ -41,8 +40,8 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
     drop_tile(handle, (1, 1))
     notes.put_new(LEASE_NAME, claim().pack())
 
-    def slow(of: AtlasStore, skip_empty: bool) -> NDArray[np.bool_]:
-        found = counted(of, skip_empty)
+    def slow(of: AtlasStore) -> NDArray[np.bool_]:
+        found = counted(of)
         if notes.get(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
             write_tile(handle, (1, 1), last)
             notes.remove(LEASE_NAME)
@@ -60,9 +59,9 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     counted, whole = tile_records.done_mask, LocalBackend.get
     looks: list[str] = []
 
-    def count(of: AtlasStore, skip_empty: bool) -> NDArray[np.bool_]:
+    def count(of: AtlasStore) -> NDArray[np.bool_]:
         looks.append("tiles")
-        return counted(of, skip_empty)
+        return counted(of)
 
     def read(place: LocalBackend, name: str, part: slice | None = None) -> bytes | None:
         looks.extend([name] * (place.path.suffix == ".run"))
@@ -86,16 +85,6 @@ def test_a_status_has_the_trouble_that_a_run_reports_in_place_of_the_time_left(f
     assert " left" not in line
 
 
-def test_a_status_looks_at_the_files_of_the_tiles_without_a_record_alone(
-    finished: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    handle, exists, looked = open_store(finished), LocalBackend.exists, list[str]()
-    forget_records(handle, [(1, 1)])
-    monkeypatch.setattr(LocalBackend, "exists", lambda place, key: looked.append(key) or exists(place, key))
-    assert read_status(handle).tiles_done == 9
-    assert looked == ["regime/c/1/1"]
-
-
 @pytest.mark.parametrize("value", [1, None, ["a"], {"a": 1}])
 def test_a_trouble_that_is_no_text_is_none(value: object) -> None:
     assert claim({"trouble": value}).trouble == ""
@@ -107,7 +96,7 @@ HELD = {"tiles": 4, "regimes": {"periodic": 15, "chaotic": 1}, "reasons": {}}
 def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tile_records, "done_mask", lambda *_, **__: pytest.fail("the store was listed"))
+    monkeypatch.setattr(tile_records, "done_mask", lambda _: pytest.fail("the store was listed"))
     sidecar_of(finished).put_new(LEASE_NAME, claim({"holds": HELD}).pack())
     status = read_status(open_store(finished))
     assert (status.tiles_done, status.cells_done, status.regimes) == (4, 16, {"periodic": 15, "chaotic": 1})
