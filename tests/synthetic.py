@@ -173,7 +173,7 @@ def arrays_of(path: Path, group: str | None = None) -> dict[str, bytes]:
 
 def put_record(handle: store.AtlasStore, index: Index, row: Rows) -> None:
     """Write the record of a tile into the table."""
-    rows = TileRecords(handle, store.done_tiles(handle)).columns().copy()
+    rows = TileRecords(handle, store.done_mask(handle)).columns().copy()
     rows[index] = row
     write_records(handle, rows)
 

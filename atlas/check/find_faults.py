@@ -34,7 +34,7 @@ from atlas.store.host import current_host
 from atlas.store.host_records import read_hosts
 from atlas.store.object_backend import os_errors_as_input_errors
 from atlas.store.record_format import DIGEST, RECORDS, Rows
-from atlas.store.store import READERS, AtlasStore, chunk_key, done_tiles
+from atlas.store.store import READERS, AtlasStore, chunk_key, done_mask
 from atlas.store.tile_records import EXCHANGED, TileRecords, is_exchanged
 from atlas.store.tiles import is_blank, read_tile, record_of
 from atlas.store.tiling import Index, Tiling
@@ -66,7 +66,7 @@ def find_faults(backend: StoreBackend, sample: int, seed: int, notify: Callable[
 
 def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
     """Return the report on a store before anything is read."""
-    n_finished = len(done_tiles(handle))
+    n_finished = int(done_mask(handle).sum())
     return VerifyReport(
         str(handle.backend), handle.tiling.count, n_finished, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
     )
@@ -75,8 +75,8 @@ def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
 def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
     """Return the findings in a store; metadata and coordinates are not needed to read its cells."""
     notify(Progress("listing the tiles"))
-    finished_tiles, right = sorted(done_tiles(handle)), RightObjects(handle)
-    records = TileRecords(handle, finished_tiles)
+    records, right = TileRecords(handle, done_mask(handle)), RightObjects(handle)
+    finished_tiles = [tuple(index) for index in np.argwhere(records.finished_mask).tolist()]
     faults = [*metadata_faults(handle, right), *right.faults]
     faults += [StoreFault(None, f"{key} is not a chunk of this atlas", (FOREIGN, key)) for key in foreign_keys(handle)]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from atlas.overview.pyramid import GROUP, Pyramid
 from atlas.store.backend import StoreBackend
 from atlas.store.store import AtlasStore
-from atlas.store.tiling import chunk_index
+from atlas.store.tiling import chunk_places
 from workers.results import Variable
 
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial$")
@@ -32,7 +32,8 @@ def foreign_keys(handle: AtlasStore) -> Iterator[str]:
 
 
 def _foreign(handle: AtlasStore, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
-    root = f"{folder}{variable.name}/c/"
+    root = f"{folder}{variable.name}/c"
     full_grid = grid + (1,) * len(variable.extra_dims)  # all numbers of a cell lie in one chunk
-    keys = (key for key in handle.backend.list_keys(root) if chunk_index(key.removeprefix(root), full_grid) is None)
-    yield from sorted(keys)
+    keys = list(handle.backend.list_keys(f"{root}/"))
+    at = chunk_places(keys, root, full_grid)
+    yield from sorted(key for key, position in zip(keys, at, strict=True) if position < 0)

@@ -13,7 +13,7 @@ from atlas.formatting import plural
 from atlas.query.open import open_atlas
 from atlas.spec.spec import Spec
 from atlas.store.groups import read_group
-from atlas.store.store import AtlasStore, done_tiles
+from atlas.store.store import AtlasStore, done_mask
 from atlas.store.tiles import read_tile
 from workers import SOLVER_VERSION
 from workers.model.system import System
@@ -82,7 +82,7 @@ class OrbitTable:
 
 def must_be_finished(handle: AtlasStore) -> None:
     """Raise InputError, with the remedy, if a tile of a store is unfinished."""
-    missing = handle.tiling.count - len(done_tiles(handle))
+    missing = handle.tiling.count - int(done_mask(handle).sum())
     if missing:
         raise InputError(f"{handle.backend}: {plural(missing, 'tile')} unfinished; complete the store with atlas run")
 

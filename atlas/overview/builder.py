@@ -10,7 +10,7 @@ import numpy as np
 from atlas.errors import ChunkError, RunError
 from atlas.overview.levels import MIN_SIDE, SIDE, Index
 from atlas.overview.pyramid import Pyramid
-from atlas.store.store import AtlasStore, done_tiles
+from atlas.store.store import AtlasStore, done_mask, done_tiles
 from workers.results import REGIME
 
 
@@ -35,10 +35,7 @@ class OverviewBuilder:
             return
         handle.backend.confirm_lease()
         self._pyramid.create()
-        stale = np.ones(handle.tiling.grid, dtype=bool)
-        for tile in done_tiles(handle):
-            stale[tile] = False
-        self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
+        self._pyramid.drop(map(tuple, np.argwhere(~done_mask(handle)).tolist()))
 
     def __bool__(self) -> bool:
         """Return True if a missing chunk can be built."""

@@ -51,7 +51,7 @@ from atlas.store.metadata import (
 from atlas.store.schema import OVERVIEWS, StoredArray, chunk_of_whole, whole_node
 from atlas.store.store import AtlasStore, array_in, chunk_key, write_root
 from atlas.store.tiles import encode_chunks
-from atlas.store.tiling import chunk_index
+from atlas.store.tiling import chunk_mask
 from workers.results import PENDING, REGIME, Variable
 
 GROUP = OVERVIEWS
@@ -131,10 +131,9 @@ class Pyramid:
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
         """Return the indices of the existing chunks of a level, by one of MARKS, from one listing."""
-        root, grid = f"{GROUP}/{level}/{mark.name}/c/", self.levels.grid(level)
-        keys = self.handle.backend.whole_keys(self.handle.backend.list_keys(root))
-        indices = (chunk_index(key.removeprefix(root), grid) for key in keys)
-        return {index for index in indices if index is not None}
+        folder = f"{GROUP}/{level}/{mark.name}/c"
+        keys = self.handle.backend.whole_keys(self.handle.backend.list_keys(f"{folder}/"))
+        return set(map(tuple, np.argwhere(chunk_mask(keys, folder, self.levels.grid(level))).tolist()))
 
     def create(self) -> None:
         """Create the groups of all levels, without values, unless they exist."""

@@ -37,15 +37,17 @@ class StoreTotals:
         Reasons are read only from tiles that are cut by the border of the block or lack a tile record. A tile is not
         read either if its record counts no reason.
         """
-        known = self._recorded[1]
         levels, cells = self.part.pyramid.levels, self.part.cells
-        complete, met = np.zeros_like(known), np.zeros_like(known)
-        within, below = levels.tiles_within(0, cells), levels.tiles_below(0, cells)
-        complete[within], met[below] = known[within], self.part.finished_mask[below]
-        by_reason = self.part.records.columns(BY_REASON)
-        none = known & (by_reason[..., NO_REASON] == by_reason.sum(axis=-1))
-        total = by_reason[complete].sum(axis=0).astype(np.int64)
-        for index in np.argwhere(met & ~complete & ~none).tolist():
+        within, below = np.zeros((2, *self.part.handle.tiling.grid), dtype=bool)
+        within[levels.tiles_within(0, cells)] = below[levels.tiles_below(0, cells)] = True
+        total, unread = np.zeros(len(REASONS), dtype=np.int64), np.zeros_like(below)
+        for tiles, rows, finished in self.part.records.valid_blocks():
+            by_reason = rows[..., BY_REASON]
+            counted = by_reason.sum(axis=-1)
+            complete, blank = within[tiles] & (counted > 0), (counted > 0) & (by_reason[..., NO_REASON] == counted)
+            total += by_reason[complete].sum(axis=0).astype(np.int64)
+            unread[tiles] = below[tiles] & finished & ~complete & ~blank
+        for index in np.argwhere(unread).tolist():
             ends = zip(levels.cells_of(_one(index)), cells, strict=True)
             piece = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in ends)
             codes = self.part.pyramid.read(0, REASON.name, piece)

@@ -21,7 +21,7 @@ from atlas.store.create import check_run, create_store
 from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.object_backend import Given
 from atlas.store.origin import Origin
-from atlas.store.store import AtlasStore, done_tiles, find_store
+from atlas.store.store import AtlasStore, done_mask, find_store
 from atlas.store.tile_records import RunTileRecords, TileRecords
 from atlas.store.tiling import Index
 from atlas.task.attempt import execute_job, run_tile_job
@@ -109,7 +109,7 @@ class _Run:
 
     def __init__(self, handle: AtlasStore, pool: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
         self.handle, self.pool, self.stage = handle, pool, "solving"
-        self.stored = TileRecords(handle, done_tiles(handle))
+        self.stored = TileRecords(handle, done_mask(handle))
         self.due, cells = ~self.stored.finished_mask, int(plan.tiling.sizes()[self.stored.finished_mask].sum())
         retried = handle.origin is not None and handle.origin.retry is not None
         self.totals = RunTotals(plan, int(self.stored.finished_mask.sum()), cells, retried)

@@ -16,7 +16,6 @@ from atlas.store.record_format import WIDTH
 from atlas.store.sidecar import sidecar_of
 from atlas.store.store import AtlasStore
 from atlas.store.tile_records import TileRecords, count_tiles, counts_by_name
-from atlas.store.tiling import Index
 from workers.results import REASONS, REGIMES
 
 
@@ -209,11 +208,10 @@ class StatusReader:
 
     def _count(self) -> StoreCounts:
         records = TileRecords(self.handle)
-        total, unknown = np.zeros(WIDTH), list[Index]()
-        for block, rows in records.valid_blocks():
+        total = np.zeros(WIDTH)
+        for _, rows, _ in records.valid_blocks():
             total += rows.reshape(-1, WIDTH).sum(axis=0)
-            without = np.argwhere(records.finished_mask[block] & ~rows.any(axis=-1)) + [part.start for part in block]
-            unknown += [tuple(index) for index in without.tolist()]
+        unknown = [tuple(index) for index in np.argwhere(records.finished_mask & ~records.known_mask).tolist()]
         self.tiles_read += len(unknown)
         for row in count_tiles(self.handle, unknown):
             if isinstance(row, ChunkError):

@@ -141,7 +141,7 @@ class LocalBackend(StoreBackend):
 
     def exists(self, key: str) -> bool:
         try:
-            stat = (self.path / key).stat()
+            stat = os.stat(f"{self.path}/{key}")  # the time of a path would double that of a listing
         except _ABSENT:
             return False
         return not S_ISDIR(stat.st_mode) and stat.st_size > 0
@@ -204,7 +204,7 @@ class LocalBackend(StoreBackend):
         for folder, _, files in os.walk(self.path / prefix):
             above = Path(folder).relative_to(self.path).as_posix()
             begin = "" if above == "." else f"{above}/"
-            yield from (begin + name for name in files if not name.endswith(".partial"))  # left by killed writes
+            yield from [begin + name for name in files if not name.endswith(".partial")]  # left by killed writes
 
     @contextmanager
     def _written(self, key: str, make: Callable[[Path], object]) -> Iterator[Path]:

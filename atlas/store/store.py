@@ -2,12 +2,15 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from threading import RLock
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError, brief_repr
 from atlas.spec.resolved import unpack_axes
@@ -31,7 +34,7 @@ from atlas.store.schema import (
     root_with_groups,
 )
 from atlas.store.schema import OVERVIEWS as OVERVIEWS
-from atlas.store.tiling import Tiling, chunk_index
+from atlas.store.tiling import Tiling, chunk_mask
 from workers.results import REGIME, Variable, leading
 
 _T = TypeVar("_T")
@@ -283,14 +286,19 @@ def is_free(backend: StoreBackend) -> bool:
     return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
-def done_tiles(handle: AtlasStore, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
-    """Return the indices of the finished tiles, whose regime chunk exists, from ``listed`` keys or from one listing."""
-    root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra_dims)
-    keys = handle.backend.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
-    keys = handle.backend.whole_keys(keys)
-    ours = (key.removeprefix(root).removesuffix(end) for key in keys if key.endswith(end))
-    indices = (chunk_index(key, handle.tiling.grid) for key in ours)
-    return {index for index in indices if index is not None}
+def done_mask(handle: AtlasStore) -> NDArray[np.bool_]:
+    """Return the mask (grid) of the finished tiles, whose regime chunk exists and is not empty, from one listing.
+
+    A crash may have emptied files. On a disk, looking at their sizes takes most of the time.
+    """
+    grid, backend, folder = handle.tiling.grid, handle.backend, f"{REGIME.name}/c"
+    keys = backend.whole_keys(backend.list_keys(f"{folder}/"))
+    return chunk_mask(keys, folder, (*grid, *(1 for _ in handle.regime.extra_dims))).reshape(grid)
+
+
+def done_tiles(handle: AtlasStore) -> set[tuple[int, ...]]:
+    """Return the indices of the finished tiles; see ``done_mask``."""
+    return set(map(tuple, np.argwhere(done_mask(handle)).tolist()))
 
 
 def is_done(handle: AtlasStore, index: tuple[int, ...]) -> bool:

@@ -16,6 +16,7 @@ A tile whose record is missing, damaged or does not add up to its cells is count
 
 import itertools
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -37,7 +38,7 @@ from atlas.store.record_format import (
     count_row,
     record_block,
 )
-from atlas.store.store import READERS, AtlasStore, array_by, done_tiles, is_done
+from atlas.store.store import READERS, AtlasStore, array_by, done_mask, is_done
 from atlas.store.tiles import encode_chunks, read_tile, record_of
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
@@ -51,7 +52,7 @@ Block = tuple[slice, ...]
 class TileRecords:
     """The tile records of a store at one moment, read at their first use.
 
-    finished_mask   mask (grid) of the finished tiles: those of ``listed``, by default from a listing of the store
+    finished_mask   mask (grid) of the finished tiles: ``finished``, by default from the store
     known_mask      mask of the tiles with a valid row
     damaged         faults of chunks of the table, by key
     lost            tiles that are finished according to the table, but not by their chunks
@@ -59,50 +60,59 @@ class TileRecords:
     Reading rows sets the last two.
     """
 
-    def __init__(self, handle: AtlasStore, listed: Iterable[Index] | None = None) -> None:
+    def __init__(self, handle: AtlasStore, finished: NDArray[np.bool_] | None = None) -> None:
         self.handle, self.damaged, self.lost = handle, dict[str, str](), list[Index]()
         self._columns: dict[tuple[int, int], Rows] = {}
-        self._sizes, self._listed = handle.tiling.sizes(), listed
+        self._sizes, self._given = handle.tiling.sizes(), finished
 
     @cached_property
-    def finished_mask(self) -> NDArray[np.bool_]:
-        """See the class. The table is enough for a finished atlas on a server; otherwise a listing is needed."""
-        if self.handle.backend.local is None and self._listed is None:
+    def _listed(self) -> NDArray[np.bool_]:
+        """Mask of the listed tiles. The table is enough for a finished atlas on a server."""
+        if self.handle.backend.local is None:
             checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
             if all(checks):
                 return np.ones(self.handle.tiling.grid, dtype=bool)
-        finished = np.zeros(self.handle.tiling.grid, dtype=bool)
-        for index in done_tiles(self.handle) if self._listed is None else self._listed:
-            finished[index] = True
-        return finished
+        return done_mask(self.handle)
 
-    def valid_blocks(self) -> Iterator[tuple[Block, Rows]]:
-        """Yield the rows chunk by chunk, with zeros for tiles without a valid row, and which tiles they are of.
+    @cached_property
+    def _masks(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        deque(self.valid_blocks(), maxlen=0)
+        return self._masks  # which the end of the blocks has set
 
-        Memory does not grow with the atlas.
+    @property
+    def finished_mask(self) -> NDArray[np.bool_]:
+        """See the class."""
+        return self._masks[0]
+
+    @property
+    def known_mask(self) -> NDArray[np.bool_]:
+        """See the class."""
+        return self._masks[1]
+
+    def valid_blocks(self) -> Iterator[tuple[Block, Rows, NDArray[np.bool_]]]:
+        """Yield which tiles each chunk is of, their rows, zeros without a valid one, and the mask of the finished ones.
+
+        Rows use memory for one chunk alone.
         """
-        finished, self.lost = self.finished_mask, []
+        finished = (self._listed if self._given is None else self._given).copy()
+        known, self.lost = np.zeros_like(finished), []
         for block, rows in self._blocks():
             valid = add_up(rows, self._sizes[block])
-            begins = [part.start for part in block]
-            self.lost += [tuple(index) for index in (np.argwhere(valid & ~finished[block]) + begins).tolist()]
-            rows[~(valid & finished[block])] = 0.0
-            yield block, rows
+            self.lost += _tiles(valid & ~finished[block], block)
+            known[block] = valid & finished[block]
+            rows[~known[block]] = 0.0
+            yield block, rows, finished[block]
+        self._masks = finished, known
 
     def columns(self, part: slice = slice(0, WIDTH)) -> Rows:
         """Return some columns of the rows of all tiles, by default all; zeros for a tile without a valid row."""
         values = self._columns.get((part.start, part.stop))
         if values is None:
             values = np.zeros((*self.handle.tiling.grid, part.stop - part.start))
-            for block, rows in self.valid_blocks():
+            for block, rows, _ in self.valid_blocks():
                 values[block] = rows[..., part]
             self._columns[part.start, part.stop] = values
         return values
-
-    @cached_property
-    def known_mask(self) -> NDArray[np.bool_]:
-        """See the class."""
-        return np.asarray(self.columns(CELLS).any(axis=-1))
 
     def tiles_without(self, codes: Iterable[int]) -> NDArray[np.bool_]:
         """Return the mask of the tiles without a cell of these regimes, according to their records."""
@@ -189,7 +199,7 @@ class RunTileRecords:
 
 def complete_records(handle: AtlasStore) -> None:
     """Write the records that the table of a store lacks; no run may write the store."""
-    RunTileRecords(handle, TileRecords(handle, done_tiles(handle))).finish()
+    RunTileRecords(handle, TileRecords(handle, done_mask(handle))).finish()
 
 
 def write_records(handle: AtlasStore, rows: Rows, chunks: Iterable[Index] | None = None) -> None:
@@ -248,6 +258,11 @@ def counts_by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
     regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
     named = {r.text: count for r, count in zip(REASONS, reasons, strict=True) if count and r.code != NO_REASON}
     return regimes, named
+
+
+def _tiles(mask: NDArray[np.bool_], block: Block) -> list[Index]:
+    """Return the indices of the tiles of a block in a mask over the block."""
+    return [tuple(index) for index in (np.argwhere(mask) + [part.start for part in block]).tolist()]
 
 
 def _table(handle: AtlasStore) -> Any:

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import reduce
 
@@ -87,14 +87,23 @@ class Tiling:
         return np.asarray(reduce(np.multiply.outer, along))
 
 
-def chunk_index(name: str, grid: tuple[int, ...]) -> Index | None:
-    """Return the index in the name of a chunk, such as ``3/14``; None for a name that no chunk has, such as ``03/14``.
+def chunk_places(keys: Iterable[str], folder: str, grid: Index) -> Iterator[int]:
+    """Yield for each key, such as ``regime/c/3/14``, the place of its chunk in the flattened grid.
 
-    A killed write or another program may leave such names.
+    The place is negative for the key of no chunk of the ``folder``, here ``regime/c``: a killed write or another
+    program may leave a key such as ``regime/c/03/14``.
     """
-    parts = name.split("/")
-    if len(parts) != len(grid) or not all(part.isascii() and part.isdigit() for part in parts):
-        return None
-    index = tuple(map(int, parts))
-    canonical = list(map(str, index)) == parts
-    return index if canonical and all(i < n for i, n in zip(index, grid, strict=True)) else None
+    columns, none = {str(i): i for i in range(grid[-1])}, -math.prod(grid)
+    above = itertools.product(*map(range, grid[:-1]))
+    rows = {"/".join([folder, *map(str, row)]): k * grid[-1] for k, row in enumerate(above)}
+    for key in keys:
+        row, _, column = key.rpartition("/")
+        yield rows.get(row, none) + columns.get(column, none)
+
+
+def chunk_mask(keys: Iterable[str], folder: str, grid: Index) -> NDArray[np.bool_]:
+    """Return the mask of the chunks of a folder with these keys; the keys of no chunk are ignored."""
+    places = np.fromiter(chunk_places(keys, folder, grid), np.int64)
+    mask = np.zeros(grid, dtype=bool)
+    mask.flat[places[places >= 0]] = True
+    return mask

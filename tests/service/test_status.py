@@ -6,9 +6,11 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from distributed import Client
+from numpy.typing import NDArray
 
 import atlas
 from atlas.cli.main import main
@@ -33,19 +35,19 @@ def claim(progress: dict[str, object] | None = None) -> LeaseRecord:
 def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_before_its_last_tile(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    handle, counted, notes = open_store(finished), tile_records.done_tiles, sidecar_of(finished)
+    handle, counted, notes = open_store(finished), tile_records.done_mask, sidecar_of(finished)
     last = read_tile(handle, (1, 1))
     drop_tile(handle, (1, 1))
     notes.put_new(LEASE_NAME, claim().pack())
 
-    def slow(of: AtlasStore) -> set[tuple[int, ...]]:
+    def slow(of: AtlasStore) -> NDArray[np.bool_]:
         found = counted(of)
         if notes.get(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
             write_tile(handle, (1, 1), last)
             notes.remove(LEASE_NAME)
         return found
 
-    monkeypatch.setattr(tile_records, "done_tiles", slow)
+    monkeypatch.setattr(tile_records, "done_mask", slow)
     status = read_status(handle)
     assert (status.tiles_done, status.run, status.trouble) == (9, None, "")
     assert "run      complete" in str(status)
@@ -54,10 +56,10 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
 def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counted, whole = tile_records.done_tiles, LocalBackend.get
+    counted, whole = tile_records.done_mask, LocalBackend.get
     looks: list[str] = []
 
-    def count(of: AtlasStore) -> set[tuple[int, ...]]:
+    def count(of: AtlasStore) -> NDArray[np.bool_]:
         looks.append("tiles")
         return counted(of)
 
@@ -65,7 +67,7 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
         looks.extend([name] * (place.path.suffix == ".run"))
         return whole(place, name, part)
 
-    monkeypatch.setattr(tile_records, "done_tiles", count)
+    monkeypatch.setattr(tile_records, "done_mask", count)
     monkeypatch.setattr(LocalBackend, "get", read)
     read_status(open_store(finished))
     assert looks == ["claim", "tiles", "claim"]
@@ -94,7 +96,7 @@ HELD = {"tiles": 4, "regimes": {"periodic": 15, "chaotic": 1}, "reasons": {}}
 def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tile_records, "done_tiles", lambda _: pytest.fail("the store was listed"))
+    monkeypatch.setattr(tile_records, "done_mask", lambda _: pytest.fail("the store was listed"))
     sidecar_of(finished).put_new(LEASE_NAME, claim({"holds": HELD}).pack())
     status = read_status(open_store(finished))
     assert (status.tiles_done, status.cells_done, status.regimes) == (4, 16, {"periodic": 15, "chaotic": 1})

@@ -48,5 +48,5 @@ def test_zarr_and_xarray_read_what_the_layout_says(tmp_path: Path) -> None:
 
 def test_a_status_holds_the_records_of_one_chunk_at_a_time(tmp_path: Path) -> None:
     handle = create_store(tmp_path / "plane.zarr", spec_of(200, 150), (1, 1))
-    sizes = [rows[..., 0].size for _, rows in TileRecords(handle, []).valid_blocks()]
+    sizes = [rows[..., 0].size for _, rows, _ in TileRecords(handle).valid_blocks()]
     assert sum(sizes) == handle.tiling.count and max(sizes) <= TILES_PER_CHUNK

@@ -20,7 +20,7 @@ from atlas.service.status import StoreStatus, read_status
 from atlas.store import tile_records
 from atlas.store.object_backend import LocalBackend
 from atlas.store.record_format import BY_REASON, RECORDS, WIDTH, digest_of
-from atlas.store.store import AtlasStore, done_tiles, open_store
+from atlas.store.store import AtlasStore, done_mask, done_tiles, open_store
 from atlas.store.tile_records import RunTileRecords, TileRecords, complete_records, forget_records
 from atlas.store.tiles import drop_tile, read_tile, record_of, write_tile
 from atlas.task.attempt import run_tile_job
@@ -262,7 +262,7 @@ def test_a_tile_whose_regime_was_lost_is_not_taken_for_its_old_self_when_it_is_s
 
 def records_of(handle: AtlasStore) -> TileRecords:
     """The records as a run finds them."""
-    found = TileRecords(handle, done_tiles(handle))
+    found = TileRecords(handle, done_mask(handle))
     found.columns()
     return found
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from atlas.store.tiling import Tiling, chunk_index
+from atlas.store.tiling import Tiling, chunk_mask
 
 
 @pytest.mark.parametrize("tile", [(1, 1), (2, 3), (5, 7)])
@@ -23,10 +23,13 @@ def test_the_sizes_of_all_tiles_are_those_of_each(shape: tuple[int, ...], tile: 
     assert {tile.index: tile.size for tile in tiling.tiles()} == {i: sizes[i] for i in np.ndindex(sizes.shape)}
 
 
-@pytest.mark.parametrize("name", ["03/1", "3", "3/1/0", "4/0", "3/-1", "3/1.partial", "٣/1", ""])
-def test_a_name_that_is_no_chunk_of_the_grid_has_no_index(name: str) -> None:
-    assert chunk_index(name, (4, 2)) is None
+@pytest.mark.parametrize("name", ["03/1", "3", "3/1/0", "4/0", "3/-1", "3/1.partial", "٣/1", "", "/3/1"])
+def test_a_key_that_is_no_chunk_of_the_grid_has_no_place(name: str) -> None:
+    assert not chunk_mask([f"regime/c/{name}"], "regime/c", (4, 2)).any()
 
 
-def test_the_name_of_a_chunk_is_its_index() -> None:
-    assert chunk_index("3/1", (4, 2)) == (3, 1)
+@pytest.mark.parametrize("index", [(3, 1), (0, 0), (5,), (1, 0, 2)])
+def test_the_key_of_a_chunk_ends_with_its_index(index: tuple[int, ...]) -> None:
+    grid = tuple(i + 2 for i in index)
+    mask = chunk_mask([f"regime/c/{'/'.join(map(str, index))}"], "regime/c", grid)
+    assert np.argwhere(mask).tolist() == [list(index)]
