@@ -27,7 +27,8 @@ saddles      finds the unstable orbits between the basins of a cell
 portrait     draws the motion of a cell
 branch       follows the orbit of a cell along a parameter
 solve_tile   solves arrays of parameters
-trace        returns a motion in time
+time_history returns a motion in time as a table, with forces and events
+trace        returns the section states and the impacts of a motion
 
 ``errors`` has the exceptions.
 """
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
         status,
         verify,
     )
+    from atlas.cell.time_history import time_history
     from atlas.service.curves import find_curves
     from atlas.service.labels import label_attractors
     from atlas.service.measures import measure_attractors
@@ -92,6 +94,7 @@ __all__ = [
     "solve_tile",
     "stability",
     "status",
+    "time_history",
     "trace",
     "verify",
 ]
@@ -100,6 +103,7 @@ __all__ = [
 _WITH_NUMBA = {
     "solve_tile": "workers",
     "trace": "workers",
+    "time_history": "atlas.cell.time_history",
     "find_curves": "atlas.service.curves",
     "label_attractors": "atlas.service.labels",
     "measure_attractors": "atlas.service.measures",

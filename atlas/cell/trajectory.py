@@ -145,7 +145,8 @@ def cell_orbit(
         closes = min(closes, 1)  # one period, the period of the cycle
         cycle = float(cell[CYCLE_PERIOD.name]) if np.isfinite(cell[CYCLE_PERIOD.name]) else None
     running = _running(record, values, full_settings, cycle)
-    osc = take_one(record.build_many(_given(record, parameters, cycle))[0], 0)
+    machines = {name: np.array([value]) for name, value in parameters.items()}
+    osc = take_one(record.build_many(record.with_cycle(machines, cycle))[0], 0)
     gap = section[:, : osc.gap_row.size] @ osc.gap_row
     long = math.ceil(2.0 * modulation(gap)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
     times, states, impacts = path_of(record, values, closes or min(max(OPEN_PATH, long), MAX_PATH_PERIODS), cycle)
@@ -185,14 +186,6 @@ def samples_of(system: System) -> int:
     return max(SAMPLES, OF_HARMONIC * system.definition.highest)
 
 
-def _given(system: System, parameters: Mapping[str, float], cycle: float | None) -> dict[str, Array]:
-    """Return parameters as arrays of one machine.
-
-    A machine without a force is followed over cycles of the length ``cycle``.
-    """
-    return system.with_cycle({name: np.array([value]) for name, value in parameters.items()}, cycle)
-
-
 def _running(system: System, parameters: Mapping[str, float], settings: Settings, cycle: float | None) -> Array:
     """Return running means of the exponents, over as many periods as can be afforded."""
     from workers import trace
@@ -213,49 +206,16 @@ def path_of(
 
     Impacts on rigid stops have two more states each, with the velocities before and after the impact.
     """
-    from workers.history import trace, within_periods
-    from workers.model.mode_table import elements_of
+    from atlas.cell.motion import CellMotion
 
-    try:
-        followed = trace(system, parameters, periods, cycle=cycle)
-    except ValueError as error:
-        raise InputError(f"this cell cannot be followed: {error}") from None
-    values, samples = _given(system, parameters, cycle), samples_of(system)
-    oscillators, _ = system.build_many(values)
-    since = oscillators.period[0] / samples * np.arange(1.0, samples + 1.0)
-    states = within_periods(oscillators, followed.states[:-1], since)
-    times = np.concatenate([followed.times[:1], (followed.times[:-1, None] + since).ravel()])
-    states = np.concatenate([followed.states[:1], states.reshape(-1, states.shape[-1])])
-    elements, impacts = elements_of(system.definition.hybrid(values)), followed.impacts
-    return *_with_jumps(times, states, impacts, elements), impacts
-
-
-def _with_jumps(times: Array, states: Array, impacts: Array, elements: Any) -> tuple[Array, Array]:
-    """Return the path with the states on a rigid stop just before and just after each impact."""
-    contacts = np.abs(impacts[:, 1]).astype(np.int64) - 1
-    rebounds = np.flatnonzero((impacts[:, 2] > 0.0) & (elements.soft[0, contacts] == 0.0))
-    places = np.maximum(np.searchsorted(times, impacts[rebounds, 0]), 1)
-    jumps = np.empty((len(rebounds), 2, states.shape[1]))
-    for i, (k, (t, side, speed), c) in enumerate(zip(places, impacts[rebounds], contacts[rebounds], strict=True)):
-        share = (t - times[k - 1]) / (times[k] - times[k - 1])
-        mean, stop = states[k - 1] + (states[k] - states[k - 1]) * share, elements.stops[0, c, int(side > 0)]
-        row, kick, R = elements.row[0, c], elements.kick[0, c], elements.R[0, c]
-        for j, velocity in enumerate((np.sign(side) * speed, -R * np.sign(side) * speed)):
-            jumps[i, j] = _at_stop(row, kick, stop, mean, velocity)
-    both = np.repeat(places, 2)
-    times = np.insert(times, both, np.repeat(impacts[rebounds, 0], 2))
-    return times, np.insert(states, both, jumps.reshape(-1, states.shape[1]), axis=0)
-
-
-def _at_stop(row: Array, kick: Array, stop: float, state: Array, velocity: float) -> Array:
-    """Return the state with row . x on a stop and moving with this velocity; impacts act along ``kick``.
-
-    All other components stay as they are.
-    """
-    n, on_stop = row.size, state.copy()
-    on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
-    on_stop[n:] += kick * (velocity - row @ state[n:])
-    return on_stop
+    motion = CellMotion.follow(system, parameters, periods, cycle)
+    impacts = motion.followed.impacts
+    times = np.linspace(0.0, motion.followed.times[-1], periods * samples_of(system) + 1)
+    before, after, rigid = motion.states_at_impacts(impacts)
+    places = np.repeat(np.maximum(np.searchsorted(times, impacts[rigid, 0]), 1), 2)
+    both = np.stack([before[rigid], after[rigid]], axis=1).reshape(-1, before.shape[1])
+    states = np.insert(motion.states_at(times), places, both, axis=0)
+    return np.insert(times, places, np.repeat(impacts[rigid, 0], 2)), states, impacts
 
 
 def describe(orbit: CellTrajectory) -> str:

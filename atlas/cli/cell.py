@@ -16,6 +16,7 @@ from atlas.cli.options import (
     json_option,
     maybe_store_argument,
     open_selection,
+    out_option,
     picture_option,
     resolve_cell,
     select_option,
@@ -29,8 +30,12 @@ from atlas.cli.progress import reporter, show_solving
 from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.laws import law_lines, uses_of_cell
+from atlas.spec.system import parse_system
 from atlas.task.compile import ATTRACTORS, PATHS, kernels_for
+from workers import Settings
 from workers.attractors.initial_states import AttractorSettings
+
+_COUNT = click.IntRange(min=1)
 
 
 @click.command(
@@ -111,3 +116,61 @@ def portrait(
         show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
     click.echo(str(out))
+
+
+@click.command(
+    epilog=examples(
+        "atlas trace --set omega=4 --set b=0.1 --periods 2 --events",
+        "atlas trace --system capsule --periods 10 --transient 100 -o capsule.csv",
+        "atlas trace plane.zarr --at omega=3 --at b=0.2 --periods 40 -o cell.nc",
+    )
+)
+@maybe_store_argument
+@set_option
+@at_option
+@select_option
+@system_option
+@click.option(
+    "--periods", type=click.IntRange(min=1), default=1, show_default=True, help="Number of periods of the force."
+)
+@click.option(
+    "--transient", type=click.IntRange(min=0), default=0, show_default=True, help="Number of periods before, left out."
+)
+@click.option(
+    "--samples", type=click.IntRange(min=1), default=100, show_default=True, help="Number of instants per period."
+)
+@click.option("--time", "times", type=float, multiple=True, help="An instant in place of --samples; repeatable.")
+@click.option("--events", "events_only", is_flag=True, help="Events alone: impacts, sticking, slips.")
+@out_option("The table: .csv or .nc; by default it is printed as CSV.")
+def trace(
+    store: str | None,
+    parameters: Numbers,
+    point: Numbers,
+    select: Numbers,
+    system: str,
+    out: Path | None,
+    times: tuple[float, ...],
+    **options: Any,
+) -> None:
+    """Print the motion of one cell in time: states, forces of contacts, and events with their names.
+
+    The cell is one of STORE, by --at, or is given by --set. The motion begins at its initial state.
+    """
+    from atlas.cell.time_history import time_history
+    from atlas.query.cell import read_cell_spec
+    from atlas.query.export import FORMATS, check_target, write_history
+
+    check_cell_options(store)
+    if out is not None:
+        check_target(out, FORMATS)
+    with input_errors(), reporter(sys.stderr) as show:
+        record = parse_system(system)
+        if store is not None:
+            cell = read_cell_spec(open_selection(store, select), point)
+            record, parameters = cell.system, dict(cell.parameters)
+        prepare_kernels(show, *kernels_for(record, PATHS, settings=Settings()))
+        show(Progress("following the motion"))
+        table = time_history(parameters, system=record, times=times or None, **options)
+        if out is not None:
+            write_history(table, out)
+    click.echo(table.to_csv(index=False, na_rep="nan", lineterminator="\n") if out is None else str(out), nl=bool(out))

@@ -46,6 +46,7 @@ _COMMANDS: _Table = {
     "One cell": {
         "point": ("cell.point", "Solve one cell and print its results."),
         "portrait": ("cell.portrait", "Draw the motion of one cell."),
+        "trace": ("cell.trace", "Print the motion of one cell in time."),
         "branch": ("branch.branch", "Follow the orbit of a cell along a parameter."),
     },
     "Keep": {

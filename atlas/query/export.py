@@ -67,6 +67,20 @@ def write_table(path: Path, table: "pd.DataFrame") -> None:
         _append(file, table)
 
 
+def write_history(table: "pd.DataFrame", path: Path) -> None:
+    """Write a history as CSV or netCDF (version 3), completely or not at all; the suffix of the path decides.
+
+    Raise InputError for another suffix and for a path that cannot be written.
+    """
+    if check_target(path, FORMATS) == ".csv":
+        write_table(path, table)
+        return
+    with replace_on_success(path) as unfinished:
+        words = table["event"].to_numpy(dtype=str)  # netCDF 3 has characters only
+        ds = table.drop(columns="event").rename_axis("row").to_xarray().assign(event=("row", words))
+        ds.to_netcdf(unfinished, format="NETCDF3_64BIT", engine="scipy")
+
+
 def _append(file: TextIO, table: "pd.DataFrame", header: bool = True) -> None:
     """Append a table to an open file; NaN and infinities are written as such."""
     table.to_csv(file, index=False, header=header, na_rep="nan", lineterminator="\n")

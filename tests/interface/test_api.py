@@ -18,6 +18,7 @@ from tests.synthetic import complete
 PUBLIC = ["RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point", "retry"]
 PUBLIC += ["System", "attractors", "measure_attractors", "plan", "saddles", "stability", "status", "trace"]
 PUBLIC += ["CurveSettings", "branch", "find_curves", "label_attractors", "portrait", "run", "solve_tile", "verify"]
+PUBLIC += ["time_history"]
 
 
 def in_a_new_process(code: str) -> object:

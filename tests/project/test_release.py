@@ -37,10 +37,10 @@ PAGE = (ROOT / "docs/stability.md").read_text(encoding="utf-8")
 PROMISED = """
 atlas       CurveSettings RunOptions Settings Spec System __version__ attractors branch errors extend find_curves
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
-            status trace verify
+            status time_history trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
 commands    demo example schema systems plan run extend retry status cancel plot explore query find
-            attractors compare point portrait branch verify pack export cite
+            attractors compare point portrait trace branch verify pack export cite
 find        regions extremes curves
 attractors  label measure basins stability saddles
 variables   attractors average error exact impact_energy impacts_lower impacts_per_period impacts_upper kaplan_yorke

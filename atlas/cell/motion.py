@@ -1,0 +1,85 @@
+"""The motion of one machine from its initial state on, with its state at any time, before and after impacts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from workers.history import Trace, trace, within_periods
+from workers.model.mode_table import ContactElements, elements_of
+from workers.model.oscillator import Array, Oscillator
+from workers.model.system import System
+
+
+@dataclass(frozen=True)
+class CellMotion:
+    """The motion of one machine from its initial state on, with its state at any time.
+
+    values      parameters as arrays (1,) of one machine
+    oscillator  the machine in a batch
+    elements    its contacts and friction
+    followed    section states and impacts
+    """
+
+    values: Mapping[str, Array]
+    oscillator: Oscillator
+    elements: ContactElements
+    followed: Trace
+
+    @classmethod
+    def follow(cls, system: System, parameters: Mapping[str, float], periods: int, cycle: float | None) -> Self:
+        """Return a motion over this number of periods, of the length ``cycle`` for a machine without a force.
+
+        Raise InputError if the motion cannot be followed.
+        """
+        try:
+            followed = trace(system, parameters, periods, cycle=cycle)
+        except ValueError as error:
+            raise InputError(f"this cell cannot be followed: {error}") from None
+        values = system.with_cycle({name: np.array([value]) for name, value in parameters.items()}, cycle)
+        oscillator, _ = system.build_many(values)
+        return cls(values, oscillator, elements_of(system.definition.hybrid(values)), followed)
+
+    @property
+    def period(self) -> float:
+        """The period."""
+        return float(self.oscillator.period[0])
+
+    def states_at(self, times: Array) -> Array:
+        """Return the states (N, 2n) at times (N,) in order, each followed from the section before it."""
+        periods = np.clip(np.floor(times / self.period).astype(int), 0, len(self.followed.times) - 2)
+        states = [np.empty((0, self.followed.states.shape[1]))]
+        for k in np.unique(periods).tolist():
+            since = times[periods == k] - self.followed.times[k]
+            states.append(within_periods(self.oscillator, self.followed.states[k : k + 1], np.maximum(since, 0.0))[0])
+        return np.concatenate(states)
+
+    def states_at_impacts(self, impacts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return the states (K, 2n) just before and just after impacts (K, 3), and the mask (K,) of those with a jump.
+
+        A velocity jumps at an impact on a rigid stop, and not where a chatter ends.
+        """
+        contacts = np.abs(impacts[:, 1]).astype(np.int64) - 1
+        rigid = (impacts[:, 2] > 0.0) & (self.elements.soft[0, contacts] == 0.0)
+        before = self.states_at(impacts[:, 0])
+        after = before.copy()
+        for i in np.flatnonzero(rigid).tolist():
+            c, velocity = contacts[i], np.sign(impacts[i, 1]) * impacts[i, 2]
+            row, kick, R = self.elements.row[0, c], self.elements.kick[0, c], self.elements.R[0, c]
+            stop, state = self.elements.stops[0, c, int(velocity > 0.0)], before[i].copy()
+            before[i], after[i] = (_at_stop(row, kick, stop, state, speed) for speed in (velocity, -R * velocity))
+        return before, after, rigid
+
+
+def _at_stop(row: Array, kick: Array, stop: float, state: Array, velocity: float) -> Array:
+    """Return the state with row . x on a stop and moving with this velocity; impacts act along ``kick``.
+
+    All other components stay as they are.
+    """
+    n, on_stop = row.size, state.copy()
+    on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
+    on_stop[n:] += kick * (velocity - row @ state[n:])
+    return on_stop

@@ -1,0 +1,221 @@
+"""Time history of one cell as a table: time, state, forces of contacts and friction, and events by name."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from atlas.argument_checks import is_integer, validate_flag
+from atlas.cell.motion import CellMotion
+from atlas.errors import InputError, brief_repr
+from atlas.spec.spec import given_values, validate_parameters
+from atlas.spec.system import parse_system
+from workers.kernel.hybrid.leg_record import LEG
+from workers.model.hybrid_modes import SIGNALS, ModeCode, code_of, pushing, resisting
+from workers.model.mode_table import build_hybrid
+from workers.model.oscillator import Array, Oscillator, Rows
+from workers.model.system import DEFAULT, System
+from workers.orbit.recorded_legs import legs_of_periods, mode_code_of_state
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SAMPLES = 100
+"""Default number of instants per period."""
+
+NEXT = 1e-9
+"""Share of a period after an event at which its mode holds: times of two kernels differ by rounding."""
+
+
+def time_history(
+    given: Mapping[str, Any] | None = None,
+    /,
+    *,
+    periods: int,
+    transient: int = 0,
+    samples: int = SAMPLES,
+    times: Sequence[float] | None = None,
+    events_only: bool = False,
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    **named: Any,
+) -> "pd.DataFrame":
+    """Return the motion of one cell as a pandas frame, from its initial state on, with a row per instant and event.
+
+    given, named  parameters other than the defaults, as a mapping, or by name: ``omega=4.0``
+    periods       number of forcing periods; of natural periods without a force
+    transient     number of periods before them, which are followed and left out
+    samples       number of instants per period
+    times         instants in place of ``samples``, between 0 and the last of these periods
+    events_only   True for the rows of events alone
+    system        name, definition or ``System`` of the machine
+
+    Columns:
+
+    time          time since the initial state
+    state         a column for each displacement and velocity, by name; at an event the state just after it
+    NAME_force    force of a soft or rigid contact, or of friction, along its row; 0 while it is open. An impact on a
+                  rigid stop is an impulse, and no force
+    event         name of the event; empty at other instants
+    speed         speed of approach just before an impact; NaN in other rows
+
+    An impact on a rigid stop has two rows: the state just before, whose event is empty, and just after. With
+    ``events_only`` the second remains. Times of impacts are those of ``atlas.trace``. Raise InputError for a parameter
+    that does not exist or is out of range, for instants out of range, and for a motion that cannot be followed.
+
+    >>> import atlas
+    >>> history = atlas.time_history(omega=4.0, b=0.1, periods=1, events_only=True)
+    >>> history["event"].tolist()
+    ['impact on stop, upper', 'impact on stop, lower']
+    """
+    import pandas as pd
+
+    validate_flag("events_only", events_only)
+    record = parse_system(system)
+    parameters = validate_parameters(record, given_values(given, named))
+    for name, count, low in (("periods", periods, 1), ("transient", transient, 0), ("samples", samples, 1)):
+        if not is_integer(count) or count < low:
+            raise InputError(f"{name}: found {brief_repr(count)}, must be a whole number, {low} or more")
+    motion = CellMotion.follow(record, parameters, transient + periods, None)
+    first, last = float(motion.followed.times[transient]), float(motion.followed.times[-1])
+    instants = _instants(times, first, last, samples * periods)
+    modes = _ModeHistory.of(record, motion, transient)
+    impacts = motion.followed.impacts
+    impacts = impacts[(impacts[:, 0] >= first) & (impacts[:, 2] > 0.0)]
+    before, after, rigid = motion.states_at_impacts(impacts)
+    others = np.array([time for time, _ in modes.events])
+
+    def part(times: Array, states: Array, since: float, event: Any = "", speed: Any = np.nan) -> "pd.DataFrame":
+        """Return rows of one kind, whose modes are those at this time after each row's own, in periods."""
+        columns = {"time": times} | dict(zip(record.states, states.T, strict=True))
+        columns |= modes.forces(times, states, times + since * motion.period)
+        return pd.DataFrame(columns | {"event": event, "speed": speed})
+
+    names = [f"impact on {modes.stop(side)}" for side in impacts[:, 1]]
+    table = pd.concat(
+        [
+            part(instants, motion.states_at(instants), 0.0),
+            part(impacts[rigid, 0], before[rigid], -NEXT),
+            part(impacts[:, 0], after, NEXT, names, impacts[:, 2]),
+            part(others, motion.states_at(others), NEXT, [event for _, event in modes.events]),
+        ]
+    ).sort_values("time", kind="stable", ignore_index=True)
+    return table[table["event"] != ""].reset_index(drop=True) if events_only else table
+
+
+def _instants(times: Sequence[float] | None, first: float, last: float, count: int) -> Array:
+    """Return the instants of a history: the given ``times``, or ``count`` even steps."""
+    if times is None:
+        return np.linspace(first, last, count + 1)
+    try:
+        instants = np.sort(np.asarray(times, dtype=np.float64).reshape(-1))
+    except (TypeError, ValueError):
+        raise InputError(f"times: found {brief_repr(times)}, must be numbers") from None
+    if not np.all((instants >= first) & (instants <= last)):
+        raise InputError(f"times: found {brief_repr(times)}, must be from {first:.10g} to {last:.10g}")
+    return instants
+
+
+@dataclass(frozen=True)
+class _ModeHistory:
+    """The modes of a motion, in order of time, and the events that are no impacts.
+
+    A mode is one set of linear equations between two events: the phase, which contacts push, which friction slides.
+
+    system    the system
+    machine   the machine of the cell, with all modes of the motion
+    starts    (L,) time from which each mode holds
+    codes     code of each mode
+    slots     (L,) slot of each mode in the machine's table
+    events    time and name of each event
+    """
+
+    system: System
+    machine: Oscillator
+    starts: Array
+    codes: list[ModeCode]
+    slots: Rows
+    events: list[tuple[float, str]]
+
+    @classmethod
+    def of(cls, system: System, motion: CellMotion, transient: int) -> Self:
+        """Return the modes of a motion after this number of periods, each period from its own section state."""
+        machine, _ = build_hybrid(system.definition.hybrid(motion.values))
+        machines, starts, codes, slots = machine.table.machines, list[float](), list[ModeCode](), list[int]()
+        for k in range(transient, len(motion.followed.times) - 1):
+            state = motion.followed.states[k]
+            number = mode_code_of_state(machine.table.elements, state).number_of(*machines.segments)
+            try:
+                legs = next(legs_of_periods(machine, state, number))
+            except ValueError as error:
+                raise InputError(f"this cell cannot be followed: {error}") from None
+            starts += (motion.followed.times[k] + legs[:, LEG.start] + legs[:, LEG.chatter]).tolist()
+            codes += [code_of(int(leg[LEG.number]), *machines.sizes[1:], *machines.segments) for leg in legs]
+            slots += legs[:, LEG.mode].astype(int).tolist()
+        history = cls(system, machine, np.array(starts), codes, np.array(slots), [])
+        for time, old, new in zip(starts[1:], codes, codes[1:], strict=False):
+            history.events.extend((time, event) for event in history._events(old, new))
+        return history
+
+    def stop(self, side: float) -> str:
+        """Return the name of a stop, by +-(1 + its contact): ``stop``, or ``stop, upper`` if its contact has two."""
+        contact = self.system.definition.contacts[abs(int(side)) - 1]
+        return contact.name if contact.stops < 2 else f"{contact.name}, {'upper' if side > 0 else 'lower'}"
+
+    def _events(self, old: ModeCode, new: ModeCode) -> Iterator[str]:
+        """Yield the names of what changes between two modes, impacts and segments of laws excepted."""
+        if old.phase != new.phase:
+            yield f"phase {new.phase + 1}"
+        for c, (was, now) in enumerate(zip(old.contacts, new.contacts, strict=True), 1):
+            counted = c <= len(self.system.definition.contacts)
+            rigid = counted and self.system.definition.contacts[c - 1].rigid
+            if counted and was % 2 and not now % 2:
+                yield f"leaves {self.stop(c * np.sign(was))}"
+            if rigid and now % 2 and not was % 2:
+                yield f"rests on {self.stop(c * np.sign(now))}"
+        for friction, was, now in zip(self.system.definition.friction, old.slips, new.slips, strict=True):
+            if np.sign(was) != np.sign(now):
+                yield f"{friction.name} {('slips backward', 'sticks', 'slips forward')[int(np.sign(now)) + 1]}"
+
+    def forces(self, times: Array, states: Array, at: Array) -> dict[str, Array]:
+        """Return the forces (N,) of contacts and friction along their rows, by column.
+
+        times, states  (N,) and (N, 2n) instants and states
+        at             (N,) times whose modes hold
+        """
+        machines, pieces, n = self.machine.table.machines, self.machine.table.pieces, states.shape[1] // 2
+        legs = np.maximum(np.searchsorted(self.starts, at, side="right") - 1, 0)
+        contacts, frictions = self.system.definition.contacts, self.system.definition.friction
+        names = [*(contact.name for contact in contacts), *(friction.name for friction in frictions)]
+        columns = {f"{name}_force": np.zeros(len(times)) for name in names}
+        turns = np.arange(1.0, machines.force_sin.shape[2] + 1.0) * (
+            machines.tau[0] + machines.omega[0] * times[:, None]
+        )
+        waves, ones = np.stack([np.sin(turns), np.cos(turns)], axis=-1), np.ones((len(times), 1))
+
+        def signal(g: int, rows: Rows) -> Array:
+            """Return the values of signal g, which is a force while the contact or friction sticks."""
+            slots = self.slots[legs[rows]]
+            full = np.concatenate([states[rows], ones[rows]], axis=1)
+            forced = np.sum(pieces.direct[0, slots, g] * waves[rows], axis=(1, 2))
+            return np.asarray(np.vecdot(pieces.rows[0, slots, g], full) + forced)
+
+        for leg_of in {self.codes[leg] for leg in legs.tolist()}:
+            rows = np.flatnonzero([self.codes[leg] == leg_of for leg in legs.tolist()])
+            x, v = states[rows, :n], states[rows, n:]
+            for c, (contact, state) in enumerate(zip(contacts, leg_of.contacts, strict=False)):
+                side = int(np.sign(state))
+                if state % 2 and contact.rigid:
+                    columns[f"{contact.name}_force"][rows] = signal(SIGNALS * c, rows)
+                elif state % 2:
+                    stiffness, damping, preload = pushing(machines, leg_of.phase, c, state)
+                    depth = side * (x @ machines.row[0, c] - machines.stops[0, c, int(side > 0)])
+                    push = preload + stiffness * depth + damping * side * (v @ machines.row[0, c])
+                    columns[f"{contact.name}_force"][rows] = -side * push
+            for f, (friction, sign) in enumerate(zip(frictions, leg_of.slips, strict=True)):
+                level, slope = resisting(machines, leg_of.phase, f, sign) if sign else (np.zeros(1), np.zeros(1))
+                sliding = v @ machines.friction_rows[0, f] - machines.belt[0, f]
+                resistance = -np.sign(sign) * level - slope * sliding
+                force = resistance if sign else signal(SIGNALS * machines.sizes[1] + f, rows)
+                columns[f"{friction.name}_force"][rows] = force
+        return columns
