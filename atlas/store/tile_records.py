@@ -77,9 +77,9 @@ class TileRecords:
         return finished
 
     def valid_blocks(self) -> Iterator[tuple[Block, Rows]]:
-        """Yield the rows chunk by chunk, with zeros for tiles without a valid row, and which tiles they are of.
+        """Yield (tiles, rows) for each chunk of the table: the slices of its tiles, and their records (..., WIDTH).
 
-        Memory does not grow with the atlas.
+        A tile without a valid record has a row of zeros. Memory does not grow with the atlas.
         """
         finished, self.lost = self.finished_mask, []
         for block, rows in self._blocks():
@@ -90,7 +90,10 @@ class TileRecords:
             yield block, rows
 
     def columns(self, part: slice = slice(0, WIDTH)) -> Rows:
-        """Return some columns of the rows of all tiles, by default all; zeros for a tile without a valid row."""
+        """Return columns of the records of all tiles, (grid..., columns); by default all columns.
+
+        A tile without a valid record has zeros.
+        """
         values = self._columns.get((part.start, part.stop))
         if values is None:
             values = np.zeros((*self.handle.tiling.grid, part.stop - part.start))
@@ -110,7 +113,7 @@ class TileRecords:
         return self.known_mask & (self.columns(CELLS)[..., code_mask].sum(axis=-1) == 0)
 
     def _blocks(self) -> Iterator[tuple[Block, Rows]]:
-        """Yield the rows of each chunk of the table, and the tiles that they are of."""
+        """Yield (tiles, rows) for each chunk of the table: the slices of its tiles, and their records (..., WIDTH)."""
         table, grid = _table(self.handle), self.handle.tiling.grid
         for block in _blocks_of(grid):
             try:
@@ -125,7 +128,7 @@ class TileRecords:
 class RunTileRecords:
     """The tile records of a store during a run, in the memory of the coordinator.
 
-    They are the earlier ``records``, and the records of reports.
+    They begin as the ``records`` in the store; each report of a finished tile adds one.
     """
 
     def __init__(self, handle: AtlasStore, records: TileRecords) -> None:
@@ -260,7 +263,7 @@ def _table_grid(grid: Index) -> Index:
 
 
 def _blocks_of(grid: Index) -> Iterator[Block]:
-    """Yield the tiles of each chunk of the table."""
+    """Yield, for each chunk of the table of records, the slices of its tiles along each dimension."""
     ends = record_block(grid)
     for index in itertools.product(*map(range, _table_grid(grid))):
         yield tuple(slice(i * side, min((i + 1) * side, n)) for i, side, n in zip(index, ends, grid, strict=True))
