@@ -38,7 +38,11 @@ def check_overviews(
 def _checked(
     handle: AtlasStore, bad: set[Index], on_level: Callable[[int], None]
 ) -> Iterator[tuple[int, list[StoreFault]]]:
-    """Yield, for each chunk from the first level on, the number of its arrays that are whole, and its faults."""
+    """Yield (number of intact arrays, list of faults) for each chunk of the overviews, the first level first.
+
+    A chunk is one block of cells of an overview, a coarser copy of the atlas; each variable has an array with this
+    block.
+    """
     pyramid = Pyramid(handle)
     if not pyramid.exists:
         return

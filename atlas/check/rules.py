@@ -47,7 +47,7 @@ AVERAGE_TOLERANCE = 1e-6
 
 
 def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    """Return the rules that some cells of a tile break, as text, each with the mask of these cells.
+    """Return a list of (rule as text, mask of the cells that break the rule), for rules broken in a tile.
 
     spec    spec of the atlas
     slices  cells of the tile
@@ -104,7 +104,7 @@ def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Yield every rule as text, with the mask of the cells that break it."""
+    """Yield (rule as text, mask of the cells that break the rule) for every rule that the results must obey."""
     regime = arrays[REGIME.name]
     yield f"regime is not one of {NO_IMPACT} to {LOCKING}", ~((regime >= NO_IMPACT) & (regime <= LOCKING))
     if spec.settings.exponents != "none":
@@ -164,7 +164,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Yield the rules that the slowest impact is at most as fast as the mean, and the mean as the fastest."""
+    """Yield (rule as text, mask of cells that break it) for impact speeds: slowest <= mean <= fastest."""
     names = [name for name in ("min_impact_speed", "mean_impact_speed", "max_impact_speed") if name in arrays]
     for slower, faster in pairwise(names):
         yield f"{slower} is above {faster}", arrays[slower] > arrays[faster] * (1 + 1e-9)
@@ -263,7 +263,7 @@ def _rest_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 
 
 def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Yield the rule that the sum of the exponents obeys the law.
+    """Yield (rule as text, mask of cells that break it): the sum of the exponents obeys its exact law.
 
     It applies to cells to which the solver gave a defect, since there the law holds.
     """

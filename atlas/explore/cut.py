@@ -99,7 +99,10 @@ class CutCells:
 
 
 def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCells]:
-    """Return the computation that solves points of a line, as the diagonal of a grid of their values."""
+    """Return the computation that solves the points ``part`` of a line on a worker.
+
+    The points are sent as the diagonal of a grid of their values on both axes.
+    """
     subject, index = line.subject, np.array(part)
     points = line.points(index)
     grid = subject.grid(line.plane, *points, packed(np.eye(len(part), dtype=bool)))

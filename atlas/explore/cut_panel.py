@@ -127,7 +127,7 @@ class CutPanel(Panel[CutLine]):
         self._store.choose(cut=ends)
 
     def _drew(self, attribute: str, old: Any, new: Any) -> None:
-        """Cut along a drawn line, from where the pointer went down to where it went up."""
+        """Start a cut along the line that the user drew with the pointer, from its press to its release."""
         if not new["xs"] or len(new["xs"][0]) <= 2:
             return
         x, y = new["xs"][0], new["ys"][0]

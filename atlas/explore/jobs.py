@@ -128,7 +128,7 @@ class JobOutput:
 
 
 def answer(sent: SubmittedJob) -> JobOutput:
-    """Run a job on a worker. Invalid input is returned as a message, so that the job is not retried as a failure."""
+    """Run a job on a worker and return its output; invalid input becomes a message, which is not retried."""
     function, value = sent.task
     try:
         return JobOutput(sent.index, function(value))
@@ -149,7 +149,10 @@ class JobQueue(Iterator[ServiceJob]):
         self._under_way: set[ServiceJob] = set()
 
     def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool) -> None:
-        """See ``JobService.request``."""
+        """Replace the jobs that ``consumer`` waits for by ``jobs``, in order of priority.
+
+        See ``JobService.request``.
+        """
         queue = deque(jobs)
         with self._lock:
             queue.extend(self._jobs.get(consumer, ()) if keep_earlier else ())
@@ -163,7 +166,7 @@ class JobQueue(Iterator[ServiceJob]):
                     self._turn.remove(consumer)
 
     def n_remaining(self, consumer: Hashable) -> int:
-        """See ``JobService.n_remaining``."""
+        """Return the number of jobs that a consumer, such as a panel of a page, still waits for."""
         with self._lock:
             return len(self._jobs.get(consumer, ()))
 
@@ -281,7 +284,7 @@ class JobService:
             self._state = ServiceState(trouble, workers)
 
     def _made(self, job: ServiceJob) -> SubmittedJob | None:
-        """Return a job as it is submitted; None if the job needs no submission."""
+        """Return a job in the form that is sent to the cluster; None if its result has become known by now."""
         submission = self._tried(job, job.build_task)
         if submission is None:
             self._wanted.remove(job)

@@ -215,7 +215,10 @@ class PictureRenderer:
                 self._plan[None] = self._rested
 
     def _hold(self, view: ViewState, names: list[str]) -> None:
-        """Fix the colour limits of maps to those of the atlas's whole plane, if enough of it is known."""
+        """Fix the colour limits of the maps ``names``, so that they stay the same when the user zooms.
+
+        The limits are those of the atlas's whole plane, if enough of the plane is known.
+        """
         subject = self._explorer.subject
         if subject.ds is None or self._scales.keys() >= set(names):
             return

@@ -80,7 +80,7 @@ class TileCache:
         self._listed_at, self._complete = float("-inf"), False
 
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
-        """Return True if a tile need not be solved."""
+        """Return True if a tile need not be solved: it is known, or outside the valid ranges of the axes."""
         known = self.full_tile(plane, key) is not None
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 

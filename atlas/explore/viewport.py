@@ -91,7 +91,7 @@ class TileKey(NamedTuple):
 
     @property
     def quarter(self) -> tuple[slice, slice]:
-        """The slices (y, x) of the parent's cells that are cells of this tile."""
+        """The slices (y, x) of the quarter of the parent tile's cells that are also cells of this tile."""
         half = TILE_CELLS // 2
         return tuple(slice(half * (n % 2), half * (n % 2) + half) for n in (self.y, self.x))  # type: ignore[return-value]
 

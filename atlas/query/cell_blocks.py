@@ -37,11 +37,12 @@ class CellBlock:
 
 
 def iter_cell_blocks(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iterator[CellBlock]:
-    """Yield blocks that together contain every cell of the regimes ``codes``, with the named variables.
+    """Yield a CellBlock at a time; together they contain every cell of the regimes ``codes``, with the named variables.
 
-    Blocks may contain other cells too. In a store, a block is a row of consecutive tiles along the last dimension.
-    Tiles without a requested cell, by their tile records, are not read. Of a tile with a single regime the regimes are
-    not read, and of a pending tile nothing is. A dataset that does not show a store is one block.
+    Blocks may contain other cells too. A block is a rectangular part of the dataset. In a store it is a row of
+    consecutive tiles along the last dimension. Tiles without a requested cell, by their tile records, are not read. Of
+    a tile with a single regime the regimes are not read, and of a pending tile nothing is. A dataset that does not show
+    a store is one block.
     """
     requested = list(dict.fromkeys(names))
     part = find_part(ds, [REGIME.name, *requested])

@@ -176,7 +176,11 @@ class Comparison:
         return f"<Comparison of two atlases of {cells} cells{f', {changed}' if changed else ''}>"
 
     def _strips(self) -> Iterator[tuple[int, NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]]:
-        """Yield blocks of rows: index of the first row, regimes in the first and in the second atlas, differences."""
+        """Yield (first, regimes, other regimes, differences) for one block of rows after another.
+
+        ``first`` is the index of the first row of the block. The three arrays (rows, ...) are the regimes in the first
+        and in the second atlas, and the differences of the exponents.
+        """
         regime = self.first[REGIME.name]
         chunk = (regime.encoding.get("chunks") or (1,))[0]
         rows = max(1, _CELLS_PER_BLOCK * regime.shape[0] // max(1, regime.size) // chunk) * chunk

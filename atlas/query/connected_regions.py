@@ -203,7 +203,10 @@ def label_components(
 
 
 def _strips(label: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[Any]]]:
-    """Yield blocks of rows: the labels above 0, flat, and the indices of their cells along each dimension."""
+    """Yield (labels, indices) of the labelled cells, for one block of rows of a plane after another.
+
+    ``labels`` (N,) are those above 0, ``indices`` a list with the index (N,) of each cell along every dimension.
+    """
     rows = max(1, _CELLS_PER_BLOCK * label.shape[0] // max(1, label.size))
     for first in range(0, label.shape[0], rows):
         strip = label[first : first + rows]

@@ -149,7 +149,7 @@ def code_names(variable: "xr.DataArray") -> dict[int, str]:
 
 
 def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.Dataset"]:
-    """Yield the dataset in blocks of ``rows`` rows of a plane, a table or a line, plane by plane for a stack."""
+    """Yield the parts of a dataset, each a dataset of at most ``rows`` rows; a stack is cut plane by plane."""
     along = dims[-2:][0]
     for plane in range(ds.sizes[dims[0]]) if len(dims) > 2 else [None]:
         part = ds if plane is None else ds.isel({dims[0]: slice(plane, plane + 1)})

@@ -80,7 +80,7 @@ class _ExtremeTracker:
         self.high: tuple[Any, tuple[int, ...]] | None = None
 
     def add(self, block: CellBlock, values: Any, cells: Any) -> None:
-        """Compare the values of the marked cells of a block."""
+        """Update both extremes with the values of a block: those of the cells that the mask ``cells`` marks."""
         at = np.argwhere(cells)
         self.cells += len(at)
         inside = values[cells]

@@ -29,13 +29,12 @@ def fixed(ds: "xr.Dataset", system: System) -> dict[str, float]:
 def oscillators(
     system: System, same: Mapping[str, float], points: Mapping[str, Array]
 ) -> Iterator[tuple[slice, Oscillator, NDArray[np.bool_]]]:
-    """Yield the oscillators at points (N,) of some parameters, in blocks of POINTS_PER_BLOCK, with a mask of existing
-    ones.
+    """Yield (slice of points, oscillators, mask of points with an oscillator), for blocks of points of some parameters.
 
     same    parameters with equal values at all points
     points  values (N,) of the other parameters
 
-    Each block is the slice of its points, their oscillators, and the mask of points that have an oscillator.
+    A block has at most POINTS_PER_BLOCK points.
     """
     count = len(next(iter(points.values())))
     for low in range(0, count, POINTS_PER_BLOCK):

@@ -11,7 +11,7 @@ from atlas.formatting import plural
 
 @dataclass
 class ReadCounter:
-    """The reads inside a ``counted`` block.
+    """The reads of chunks inside a ``with count_chunk_reads()`` block.
 
     chunks  number of chunks found and read
     level   coarsest level that a view was read from; level 0 are the cells
@@ -39,7 +39,7 @@ _reads: ContextVar[ReadCounter | None] = ContextVar("reads", default=None)
 
 @contextmanager
 def count_chunk_reads() -> Iterator[ReadCounter]:
-    """Count the chunks that views and fractions read inside the ``with`` block; surrounding blocks count them too."""
+    """Yield a counter of the chunks that are read inside the ``with`` block; outer ``with`` blocks count them too."""
     outer, reads = _reads.get(), ReadCounter()
     token = _reads.set(reads)
     try:
@@ -51,7 +51,7 @@ def count_chunk_reads() -> Iterator[ReadCounter]:
 
 
 def count_reads(chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
-    """Add reads to the counter of the surrounding ``counted`` block, if there is one."""
+    """Add reads to the counter of the surrounding ``with count_chunk_reads()`` block, if there is one."""
     reads = _reads.get()
     if reads is not None:
         reads.add(chunks, level, block)

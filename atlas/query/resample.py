@@ -162,7 +162,7 @@ def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> 
 
 
 def _blank(cells: Cells) -> None:
-    """Remove from coarse cells the values that the regime they show does not have."""
+    """Set to missing, in place, the values of coarse cells that the regime of the coarse cell does not have."""
     regime = cells[REGIME.name]
     for name in cells.keys() - {REGIME.name, REGIME_SHOWN.name, SHARE.name}:
         if name in CLASSES:

@@ -113,7 +113,7 @@ class StoreBlock:
         return self.pyramid.chunks_read - self.chunks_before
 
     def as_given(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return values over cells of the block in the dimensions of the dataset."""
+        """Return an array over the cells of the block with the dimensions of the dataset in place of the store's."""
         return values[0] if self.drops_stack_dim else values
 
     @property
@@ -166,7 +166,10 @@ class StoreBlock:
         return arrays
 
     def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
-        """Read stored variables of a piece of a level; also return its blocks that must not be used."""
+        """Return stored variables of a piece of a level, by name, and the slices of its parts that must not be used.
+
+        Such a part is missing, damaged or older than the tiles below it.
+        """
         blocks = list(self._blocks(level, piece))
         if not self.pyramid.exists:
             return self._pending(piece, names), blocks
@@ -183,7 +186,10 @@ class StoreBlock:
     def _read_each(
         self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]
     ) -> tuple[Cells, list[Slices]]:
-        """Read as ``read_stored`` does a piece with a bad chunk: each block alone, to find the bad one."""
+        """Return what ``read_stored`` returns, for a piece with a damaged chunk.
+
+        The part of the piece in each chunk is read alone, which finds the damaged one.
+        """
         arrays, missing = self._pending(piece, names), blocks
         if len(blocks) > 1:
             missing = []
@@ -222,7 +228,7 @@ class StoreBlock:
         return not (marks == PENDING).any() and bool(self.finished_mask[tiles].all())
 
     def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
-        """Yield the piece cut along chunk borders."""
+        """Yield the parts of a piece, one for each chunk that it overlaps, as slices of cells of the level."""
         along = []
         for p, c in zip(piece, self.pyramid.levels.chunk, strict=True):
             cuts = [p.start, *range((p.start // c + 1) * c, p.stop, c), p.stop]

@@ -62,7 +62,11 @@ class StoreTotals:
         return areas, self.part.records.known_mask | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
-        """Yield the block cut into pieces of whole cells of levels, as coarse as possible."""
+        """Yield (level, slices) of pieces that together are the block, each of whole cells of a level.
+
+        The level is as coarse as possible. Level 0 are the cells; each further level has half as many along every
+        dimension.
+        """
         levels = self.part.pyramid.levels
         inner: Slices | None = None
         for level in range(levels.count, -1, -1):
@@ -105,7 +109,7 @@ class StoreTotals:
         return total
 
     def _added(self, tiles: Slices) -> NDArray[np.float64]:
-        """Return the areas in those of the tiles that have a record."""
+        """Return the sum of the areas by regime, in the order of CODES, over the ``tiles`` that have a record."""
         areas, known = self._recorded
         return np.asarray(areas[tiles][known[tiles]].sum(axis=0))
 
@@ -113,7 +117,7 @@ class StoreTotals:
         return self._weighed(0, piece, self.part.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])
 
     def _weighed(self, level: int, piece: Slices, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the area of each regime, from the shares of the cells of a piece."""
+        """Return the area of each regime in a piece, in the order of CODES, from its share of each cell."""
         for width, p in zip(self.part.pyramid.widths[level], piece, strict=True):
             share = np.tensordot(width[p], share, axes=1)
         return np.asarray(share)
@@ -125,7 +129,7 @@ def _one(index: list[int]) -> Slices:
 
 
 def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
-    """Yield the outer box without the inner one, as boxes."""
+    """Yield boxes that together cover the outer box without the inner one, each as slices along all dimensions."""
     if inner is None:
         yield outer
         return

@@ -174,6 +174,6 @@ def _between(name: str, values: NDArray[np.float64], bounds: tuple[float, float]
 
 
 def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Return neighbouring indices as a slice, so that a dataset stays lazy and its block of the store known."""
+    """Return consecutive indices as a slice, and other indices unchanged; a slice keeps a dataset unread."""
     first, last = int(indices[0]), int(indices[-1])
     return slice(first, last + 1) if last - first + 1 == indices.size else indices

@@ -37,7 +37,7 @@ class LabelPlacement(NamedTuple):
 
 
 def places(named: Sequence[tuple[Cells, str]], step: Array, type_size: float) -> Iterator[LabelPlacement]:
-    """Yield the positions of labels in the two largest connected regions of sets of cells, where the labels fit.
+    """Yield a LabelPlacement for each label that fits: its position in one of the two largest regions of its set.
 
     named      cells (y, x) and label of each set
     step       height and width of a cell

@@ -297,7 +297,10 @@ def _panel_of_shares(known: xr.Dataset | None) -> Panel:
 
 
 def _groups(attractor: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Yield masks of cells with an attractor of one colour, and that colour; ``attractor`` has one per cell."""
+    """Yield (mask of cells, colour) for each colour of the attractors along a sweep.
+
+    ``attractor`` has one attractor per cell, ``known`` the table of branches if attractors are labelled.
+    """
     regime = attractor[REGIME.name].values
     label = attractor[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):

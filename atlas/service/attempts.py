@@ -105,7 +105,7 @@ class JobAttempt(Generic[J]):
 
 
 def run_attempt(act: Callable[[J], R], job: J) -> AttemptOutcome[R]:
-    """Do a job on this worker, and return the outcome: an exception becomes a value that names the worker."""
+    """Do a job on this worker and return the outcome, which names the worker; an exception is one kind of outcome."""
     from distributed import get_worker
 
     worker, begin = get_worker().address, time.perf_counter()

@@ -123,7 +123,11 @@ def measure_attractors(
 
 
 def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> dict[str, Request]:
-    """Return the request of each family; ``content`` is a digest of the cells that its measures depend on."""
+    """Return the request of each family of measures by name; a family is computed together, such as the shocks.
+
+    The ``content`` of a request is a digest of the cells that its measures depend on. Stored measures with another
+    digest are out of date.
+    """
     if shocks and not handle.spec.coexistence:
         raise InputError(
             f"{handle.backend}: has one attractor per cell; shocks need an atlas of all attractors, see [attractors]"
@@ -148,7 +152,7 @@ def _still_true(stored: StoredMeasures, requests: Mapping[str, Request]) -> Stor
 
 
 def _content(handle: AtlasStore) -> str:
-    """Return a digest of the results of cells that the measures of attractors depend on."""
+    """Return a digest, as text, of the results of cells that the measures of attractors depend on."""
     content = hashlib.sha256(handle.digest.encode())
     for index in sorted(tile.index for tile in handle.tiling.tiles()):
         for name, values in sorted(read_tile(handle, index, NEEDED).items()):

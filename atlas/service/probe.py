@@ -110,7 +110,10 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
 
 
 def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
-    """Return distinct cells that fill the plane ever more evenly, and the length of the segments that they begin."""
+    """Return the indices of distinct cells that fill the plane ever more evenly, and the length of a segment in cells.
+
+    A segment is a part of a line of continued cells that begins at one of these cells; it has one cell otherwise.
+    """
     from scipy.stats import qmc
 
     room, length = list(spec.shape), 1
@@ -159,10 +162,10 @@ def _solve(spec: Spec, starts: list[tuple[int, ...]], length: int) -> tuple[Arra
 
 
 def full_periods(settings: Settings, few: Settings, arrays: dict[str, NDArray[Any]]) -> tuple[Array, Array]:
-    """Return the least and the most periods that cells cost with their settings, when solved with a brief ``few``.
+    """Return the least and the most forcing periods that cells cost with their ``settings``, as two arrays.
 
-    The square of a chaotic cell's error falls as one over its periods. Nothing is known of an undetermined cell, nor
-    for how long chaos is watched.
+    The ``arrays`` are results of the cells with the brief settings ``few``. The square of a chaotic cell's error falls
+    as one over its periods. Nothing is known of an undetermined cell, nor for how long chaos is watched.
     """
     used, regime = arrays["periods_used"].astype(np.float64), arrays[REGIME.name]
     if settings.method == "fixed":

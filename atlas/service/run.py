@@ -146,7 +146,10 @@ class _Run:
         self.totals.add(report)
 
     def hand_out(self) -> None:
-        """Send unfinished tiles to the workers and add up their reports; then build the overviews, level by level."""
+        """Send unfinished tiles to the workers and add up their reports, then build the overviews.
+
+        Overviews are coarser copies of the atlas; they are built level by level.
+        """
         handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.pool.store_ref
         dispatcher = self.pool.dispatcher
         totals.start()

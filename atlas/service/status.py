@@ -160,7 +160,10 @@ class StoreCounts:
 
     @classmethod
     def from_lease(cls, seen: LeaseObservation | None) -> "StoreCounts | None":
-        """Return the counts that the run on a store reports; None if there is no live run, or no sound report."""
+        """Return the counts in the progress report of the run that holds a lease.
+
+        Return None if no run is alive, or if its report is incomplete.
+        """
         if seen is None or seen.record is None or seen.alive is False or seen.trouble:
             return None
         try:

@@ -144,7 +144,10 @@ class RunTotals:
         return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
 
     def report(self, threads: int) -> dict[str, Any]:
-        """Return the progress for the lease of the run, from which the status of the store is read."""
+        """Return the progress of the run as a dict of plain JSON, to be written into the lease of the store.
+
+        ``atlas status`` reads it there.
+        """
         names = ("cells", "cells_done", "cells_solved", "seconds", "trouble")
         return {"workers": threads} | {name: getattr(self, name) for name in names}
 

@@ -16,7 +16,7 @@ NEIGHBOURS = 4
 
 
 class TileOrder:
-    """An iterator over the indices of the unfinished tiles; costs recorded meanwhile decide the order of the rest."""
+    """An iterator over the indices of the unfinished tiles, each a tuple; costs recorded so far decide the order."""
 
     def __init__(self, unfinished: np.ndarray) -> None:
         self._due = unfinished

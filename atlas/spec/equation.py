@@ -76,7 +76,7 @@ def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int
 
 
 def _changes(phase: Phase) -> Iterator[str]:
-    """Yield the entries of a phase that replace those of the machine, each with its expression."""
+    """Yield (entry, expression) for each entry of the machine that a phase replaces."""
     for key in ("stiffness", "damping"):
         if (matrix := getattr(phase, key)) is not None:
             yield f"{key} ({', '.join(map(_row, matrix)) if len(matrix) > 1 else _number(matrix[0][0])})"

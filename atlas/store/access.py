@@ -151,7 +151,7 @@ def local_folder(store: Any) -> Path | None:
 
 
 def _frozen(settings: Mapping[str, Any]) -> Pairs:
-    """Return settings, nested ones too, as sorted pairs, which are hashable."""
+    """Return settings, nested ones too, as pairs (name, value) sorted by name, which can be hashed and compared."""
     pairs = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in settings.items())
     return tuple(sorted(pairs, key=lambda pair: pair[0]))
 

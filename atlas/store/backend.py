@@ -54,7 +54,10 @@ class StoreBackend:
         raise NotImplementedError
 
     def version(self, key: str) -> Hashable:
-        """Return a token of the present state of an object, without reading its bytes; None if it does not exist."""
+        """Return a value that changes whenever an object is written; None if the object does not exist.
+
+        The bytes of the object are not read.
+        """
         raise NotImplementedError
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
@@ -208,7 +211,7 @@ class LocalBackend(StoreBackend):
 
     @contextmanager
     def _written(self, key: str, make: Callable[[Path], object]) -> Iterator[Path]:
-        """Yield a temporary file written by ``make`` beside an object.
+        """Yield the path of a temporary file that ``make`` has written in the folder of an object.
 
         The file is removed unless the block moves it.
         """

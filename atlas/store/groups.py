@@ -99,9 +99,9 @@ def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]],
 
 
 def group_layout(handle: AtlasStore, group: str, data: bytes) -> dict[str, bytes]:
-    """Return the right metadata of a group and of its arrays, by key, from ``data``, the metadata of the group.
+    """Return the metadata that a group and its arrays must have, as bytes by key.
 
-    Raise errors like ``read_group``.
+    They follow from ``data``, the stored metadata of the group. Raise errors like ``read_group``.
     """
     _, attributes, nodes = _find_group(handle, group, data)
     arrays = {f"{group}/{name}/{ROOT}": encode_node(node) for name, node in nodes.items()}
@@ -146,7 +146,7 @@ def _own_nodes(handle: AtlasStore, group: str, names: Iterable[str]) -> dict[str
 
 
 def _read(handle: AtlasStore, path: str, node: Node | None) -> NDArray[Any] | dict[str, str]:
-    """Return the values of an array of one chunk; if it is missing or damaged, return its fault by key."""
+    """Return the values of an array of one chunk; if the chunk is missing or damaged, a dict of its fault by key."""
     key = f"{path}/{ROOT}"
     if node is None:
         return {key: "is missing"}

@@ -29,7 +29,7 @@ Node = Mapping[str, Any]
 
 
 def seal(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes as they are read from JSON, with their checksum."""
+    """Return attributes as they will be read back from JSON, with a checksum of them as one more attribute."""
     plain = json.loads(json.dumps(dict(attributes)))
     return {**plain, CHECKSUM: _checksum(plain)}
 

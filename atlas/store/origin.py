@@ -16,9 +16,10 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class BudgetVariable(Variable):
-    """A variable with the value of a setting for each cell; after a retry it may exceed the setting of the spec.
+    """A variable with the budget of each cell: the limit, in forcing periods, of the work spent on the cell.
 
-    Only stores made by a retry have the variable. Its fill value there is the setting of the spec.
+    The budget is a setting of the spec, unless a retry has raised it for some cells. Only stores made by a retry have
+    the variable. Its fill value there is the setting of the spec.
     """
 
     setting: str = ""

@@ -1,8 +1,10 @@
 """The format of a tile record: digest of the tile's index and contents, and counts of its cells by regime and reason.
 
-A record is a row of numbers in the array ``tiles/records``. Digests reveal swapped tiles. The counts tell what an atlas
-contains without reading its cells. Columns have fixed positions, with room for regimes and reasons of later versions. A
-row with such codes does not add up to its tile in this version, which then counts the tile from its chunks.
+A tile is a block of cells that is solved and written as one. Its record is a row of WIDTH float64 numbers in the array
+``tiles/records``. The first two hold the digest, 64 bits as two halves of 32 bits, which a float64 holds exactly. All
+others are numbers of cells, and areas of cells. Digests reveal swapped tiles. The counts tell what an atlas contains
+without reading its cells. Columns have fixed positions, with room for regimes and reasons of later versions. A row with
+such codes does not add up to its tile in this version, which then counts the tile from its chunks.
 """
 
 import hashlib
@@ -36,7 +38,7 @@ Rows = NDArray[np.float64]
 
 
 def digest_of(index: Index, variables: Iterable[Variable], arrays: Mapping[str, Any]) -> int:
-    """Return the digest of a tile, 64 bits, from its index and these variables."""
+    """Return the digest of a tile, a whole number of 64 bits, from its index and the arrays of these variables."""
     digest = hashlib.blake2b(repr(tuple(map(int, index))).encode(), digest_size=8)
     for variable in variables:
         dtype = np.dtype(variable.dtype).newbyteorder("<")
@@ -46,7 +48,10 @@ def digest_of(index: Index, variables: Iterable[Variable], arrays: Mapping[str, 
 
 
 def halves(digest: int) -> tuple[int, int]:
-    """Return the two columns of a digest in a row."""
+    """Return a digest of 64 bits as two numbers of 32 bits, the upper half first.
+
+    A record is a row of float64 numbers, which hold 32 bits exactly but not 64.
+    """
     return divmod(digest, 2**32)
 
 
@@ -70,7 +75,11 @@ def count_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArra
 
 
 def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the mask of the rows, along the last dimension, whose counts add up to the cells of their tiles."""
+    """Return the mask of valid tile records: their counts by regime and by reason add up to the cells of their tile.
+
+    rows   (..., WIDTH) tile records
+    sizes  (...) number of cells of each tile
+    """
     by_regime, by_reason = rows[..., CELLS].sum(axis=-1), rows[..., BY_REASON].sum(axis=-1)
     return np.asarray((by_regime == sizes) & (by_reason == sizes))
 

@@ -187,7 +187,7 @@ def groups_of(spec: Spec) -> tuple[str, ...]:
 
 
 def whole_node(stored: StoredArray, codecs: Iterable[Node]) -> dict[str, Any]:
-    """Return the metadata of an array of one chunk, with these codecs after its encoding as bytes."""
+    """Return the Zarr metadata of an array of one chunk; ``codecs`` apply after its encoding as bytes."""
     values, dims, attributes = stored
     dtype = "string" if values.dtype.kind == "T" else values.dtype.name
     return array_node(values.shape, dtype, dims, attributes, codecs=codecs)

@@ -47,7 +47,10 @@ READERS = 8
 
 
 class _SharedCache(dict[str, Any]):
-    """What the views of a handle have read and opened, by name. ``lock`` is held while an entry is computed."""
+    """Values that the views of a handle share, by name of the property: all that was read or opened so far.
+
+    ``lock`` is held while a value is computed.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -79,7 +82,7 @@ class AtlasStore:
     solver_version   solver version of its cells
     tile             cells of a tile along each dimension
     origin           store whose cells it took over, None if there is none
-    state            digest of the root's metadata when they were read
+    state            digest of the root's metadata at the time they were read; ``current`` compares it
     cache            everything else, read or opened at its first use and kept in this process
     """
 

@@ -90,9 +90,10 @@ class TileRecords:
         return self._masks[1]
 
     def valid_blocks(self) -> Iterator[tuple[Block, Rows, NDArray[np.bool_]]]:
-        """Yield which tiles each chunk is of, their rows, zeros without a valid one, and the mask of the finished ones.
+        """Yield (tiles, rows, finished) for each chunk of the table.
 
-        Rows use memory for one chunk alone.
+        These are the slices of its tiles, their records (..., WIDTH), and the mask of the finished tiles. A tile
+        without a valid record has a row of zeros. Memory does not grow with the atlas.
         """
         finished = (self._listed if self._given is None else self._given).copy()
         known, self.lost = np.zeros_like(finished), []
@@ -105,7 +106,10 @@ class TileRecords:
         self._masks = finished, known
 
     def columns(self, part: slice = slice(0, WIDTH)) -> Rows:
-        """Return some columns of the rows of all tiles, by default all; zeros for a tile without a valid row."""
+        """Return columns of the records of all tiles, (grid..., columns); by default all columns.
+
+        A tile without a valid record has zeros.
+        """
         values = self._columns.get((part.start, part.stop))
         if values is None:
             values = np.zeros((*self.handle.tiling.grid, part.stop - part.start))
@@ -120,7 +124,7 @@ class TileRecords:
         return self.known_mask & (self.columns(CELLS)[..., code_mask].sum(axis=-1) == 0)
 
     def _blocks(self) -> Iterator[tuple[Block, Rows]]:
-        """Yield the rows of each chunk of the table, and the tiles that they are of."""
+        """Yield (tiles, rows) for each chunk of the table: the slices of its tiles, and their records (..., WIDTH)."""
         table, grid = _table(self.handle), self.handle.tiling.grid
         for block in _blocks_of(grid):
             try:
@@ -135,7 +139,7 @@ class TileRecords:
 class RunTileRecords:
     """The tile records of a store during a run, in the memory of the coordinator.
 
-    They are the earlier ``records``, and the records of reports.
+    They begin as the ``records`` in the store; each report of a finished tile adds one.
     """
 
     def __init__(self, handle: AtlasStore, records: TileRecords) -> None:
@@ -275,7 +279,7 @@ def _table_grid(grid: Index) -> Index:
 
 
 def _blocks_of(grid: Index) -> Iterator[Block]:
-    """Yield the tiles of each chunk of the table."""
+    """Yield, for each chunk of the table of records, the slices of its tiles along each dimension."""
     ends = record_block(grid)
     for index in itertools.product(*map(range, _table_grid(grid))):
         yield tuple(slice(i * side, min((i + 1) * side, n)) for i, side, n in zip(index, ends, grid, strict=True))

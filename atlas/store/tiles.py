@@ -149,7 +149,10 @@ def read_tile(
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:
-    """Return the cells of a tile in an array, by the array's own objects, so that no write is misaligned."""
+    """Return the slices of a tile's cells in an array.
+
+    They follow from the shape of the array's own objects, so that no write is misaligned.
+    """
     sides = object_shape(array)
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, sides, array.shape, strict=False))
 

@@ -84,9 +84,10 @@ def _labels(handle: AtlasStore, index: tuple[int, ...]) -> NDArray[np.int64]:
 def _label_band(
     handle: AtlasStore, table: "AttractorTable", reference: int, band: list[Index], records: dict[Index, Rows]
 ) -> Iterator[tuple[Index, NDArray[np.int64]]]:
-    """Yield the tiles of a band and their final labels, once written, and add the changed tile records to ``records``.
+    """Yield (tile, labels) for each tile of a band once its final labels are written.
 
-    Cells beyond the ``reference`` attractors are labelled, also cells that a dead attempt has labelled before.
+    Changed tile records are added to ``records``. Cells beyond the ``reference`` attractors are labelled, also cells
+    that a dead attempt has labelled before.
     """
     from workers.attractors.basins import labels_beyond
 

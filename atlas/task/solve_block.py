@@ -74,7 +74,7 @@ def solve_missing(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "ND
 def _by_settings(
     spec: Spec, known: Mapping[str, Any], due: "NDArray[np.bool_]"
 ) -> "Iterator[tuple[Settings, NDArray[np.bool_]]]":
-    """Yield the settings of the cells to solve, each with the mask of its cells."""
+    """Yield (settings, mask of the cells to solve with these settings); a retry gives cells different settings."""
     allowances = [allowance for allowance in ALLOWANCES if allowance.name in known]
     if not allowances:
         yield from [(spec.settings, due)] if due.any() else []

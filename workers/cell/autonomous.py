@@ -61,7 +61,11 @@ averaging."""
 
 
 def course_of(cells: CellBatch, is_known: Property = none_of, must_leave: Property = none_of) -> AdaptiveSchedule:
-    """Return the adaptive schedule of cells, see AdaptiveSchedule."""
+    """Return the adaptive schedule of cells, which decides how long each is simulated, by the kind of their machines.
+
+    is_known    predicate on cells at the end of an interval: the motion is recognised, and the cell ends
+    must_leave  predicate on cells after their transients: they leave the schedule, to be judged elsewhere
+    """
     kind = AutonomousSchedule if cells.unforced else VertexCourse if np.any(without_force(cells)) else AdaptiveSchedule
     return kind(cells, is_known, must_leave)
 
@@ -177,9 +181,10 @@ class AutonomousSchedule(VertexCourse):
 
 
 def turns_of(trail: EventTrail) -> list[int]:
-    """Return the numbers of events after which a motion has nearly returned, nearer than a turn before.
+    """Return the counts of events after which a motion has nearly returned to its last state, as whole numbers.
 
-    There are at most three, each return ten times nearer than any shorter one.
+    Each return is nearer than the turn before it. There are at most three, each return ten times nearer than any
+    shorter one.
     """
     turns, last, record = list[int](), len(trail.keys) - 1, NEAR_CYCLE
     distances = np.max(np.abs(trail.states[-1:] - trail.states[last - last // 2 : last]), axis=1)[::-1]

@@ -101,7 +101,7 @@ def has_changed(cells: CellBatch, rows: Rows) -> Mask:
 
 
 def close(cells: CellBatch, rows: Rows) -> None:
-    """Keep the current average as the earlier one, which it replaces."""
+    """Store the current average of these cells as their earlier one, in place; a new average may begin."""
     reset_frames(cells.oscillators.gap.blocks, cells.batch.motions, rows)
     for earlier, now in zip(cells.previous_average, current_average(cells, rows), strict=True):
         earlier[rows] = now

@@ -62,7 +62,10 @@ class EventTrail(NamedTuple):
 
 
 def trail_of(legs: Array, size: int, period: float) -> EventTrail:
-    """Return the trail of legs in order of time; ``period`` is the natural one."""
+    """Return the trail, the events in order of time, of legs (E, columns); ``period`` is the natural period.
+
+    A leg is the motion in one mode, from one event to the next. ``size`` is the number of components of a state.
+    """
     events = legs[legs[:, LEG.signal] >= 0.0]
     columns = events[:, [LEG.number, LEG.signal, LEG.side]].astype(np.int64)
     first = _first_at_one_time(events, period)
@@ -121,9 +124,10 @@ def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, lim
 def turn_from(
     machine: Oscillator, trail: EventTrail, m: int, first: int
 ) -> tuple[OrbitMachines, Orbit, NDArray[np.int64]]:
-    """Return the last m events of a trail as a turn from event ``first`` on: machine, orbit and keys.
+    """Return (machine, orbit, keys): the last m events of a trail as one turn, beginning with event ``first``.
 
-    There is a key for each signal's event. Of several signals at one time the first has the key, the others have -1.
+    A key is a number that is equal for events of the same kind. There is a key for each signal's event. Of several
+    signals at one time the first has the key, the others have -1.
     """
     starts = np.append(trail.first, len(trail.legs))[len(trail.keys) - m :]
     rows = trail.legs[starts[0] :].copy()

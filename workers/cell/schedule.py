@@ -176,7 +176,7 @@ class AdaptiveSchedule:
         return end_on_long_orbits(self.cells, rows)
 
     def _left(self, rows: Rows) -> Rows:
-        """Return the number of periods left to these cells in their present stage."""
+        """Return the number of periods (rows,) that these cells may still spend in their present stage."""
         decide = self.settings.deciding_periods - (self.cells.periods_used[rows] - self.watched[rows])
         return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
 

@@ -1,7 +1,8 @@
-"""Equilibria at the end of a signal, such as rest at a stop or at a vertex of a law, to which motions shrink.
+"""Equilibria to which motions shrink at the end of a signal's range, such as rest at a stop or at a vertex of a law.
 
-Such a motion has no scale: each turn multiplies it by the same factor, through ever the same events. One turn gives
-the exponents. A motion that comes from one side, without events, shrinks by its slowest decay.
+A signal is a number computed from the state, and its end is an event. Such a motion has no scale: each turn multiplies
+it by the same factor, through ever the same events. One turn gives the exponents. A motion that comes from one side,
+without events, shrinks by its slowest decay.
 """
 
 import math

@@ -79,7 +79,10 @@ def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = 
 
 
 def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
-    """Return a graze as one in the turn that begins with the first event, or in its mirror image."""
+    """Return a grazing contact with its time moved into the turn that begins with the first event.
+
+    For a symmetric orbit, whose turn is half of it, the contact may become its mirror image.
+    """
     begin, span = float(motion.begins[0, 0]), float(motion.span[0])
     turns = math.floor((touch.time - begin) / span)
     flips = motion.itinerary.symmetric and turns % 2 != 0
@@ -206,7 +209,10 @@ def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
 
 
 def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
-    """Return about when a signal that is beyond its end since a fault turns back; None if beyond the leg."""
+    """Return the approximate time at which a signal beyond the end of its range turns back; None if not on this leg.
+
+    The signal has been beyond its end since the fault ``reason``. A leg is the motion in one mode.
+    """
     k = int(np.searchsorted(motion.begins[0], reason.time, side="right")) - 1
     s = np.linspace(reason.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
     _, (_, rates, _, _) = motion.states_at(s[None], reason.signal)

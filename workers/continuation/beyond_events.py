@@ -145,7 +145,10 @@ def orbits_beyond(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
 
 
 def _beside_branch(equations: ExtendedSystem, event: Event) -> Iterator[_NearbyOrbit]:
-    """Yield the orbit of an event with each step along the parameter."""
+    """Yield nearby orbits from which to look for a branch beyond an event.
+
+    Each is the orbit of the event itself, with one of several steps along the parameter.
+    """
     for share in OFFSETS:
         for side in (1.0, -1.0):
             away = side * share * equations.width
@@ -176,9 +179,10 @@ def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
 
 
 def _at_depth(equations: ExtendedSystem, event: Event, nearby: _NearbyOrbit, bounds: Array) -> Iterator[_NearbyOrbit]:
-    """Yield the nearby orbit with the step after which its multipliers meet the condition, to first order.
+    """Yield at most one nearby orbit, with a step in its parameters.
 
-    Multipliers change with the square root of the length of the step. Yield nothing if there is no such step.
+    After the step its multipliers meet the condition, to first order. Multipliers change with the square root of the
+    length of the step. Nothing is yielded if there is no such step.
     """
     deep, (condition, *_) = _recorded(equations.family, nearby, 1.0, bounds), event.conditions
     same = deep is None or is_same_sequence(deep.itinerary, nearby.orbit.itinerary)

@@ -329,7 +329,7 @@ def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Unt
 
 
 def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcome | None:
-    """Return the result of a step with a last point that is as stable as its events leave it.
+    """Return the outcome of a step, if its events explain the change of stability from its start to its end.
 
     Return None if the events do not account for all changes of stability. Two multipliers of one pair that change
     together need not change a sign.
@@ -356,13 +356,19 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
 
 
 def _corner(step: ContinuationStep) -> _StepOutcome:
-    """Return the end of a branch that continues no further: an event is lost there, or STALLED."""
+    """Return the outcome of a step on which a branch ends.
+
+    An event of the orbit is lost there; if none is found, the end is STALLED.
+    """
     met = nearly_lost(step)
     return _StepOutcome(STALLED) if met is None else _StepOutcome(met.event.kind, (met.event,), (met.event.point,))
 
 
 def _meeting(step: ContinuationStep) -> _StepOutcome | None:
-    """Return the end of a branch at the orbit that it left; None if the branch does not meet that orbit on the step."""
+    """Return the outcome of a step on which a branch closes at the orbit from which it came.
+
+    Return None if the branch does not meet that orbit on the step.
+    """
     to = halves_met(step)
     if to is None:
         return None
@@ -373,7 +379,7 @@ def _meeting(step: ContinuationStep) -> _StepOutcome | None:
 def _passage(
     step: ContinuationStep, before: MonitoredPoint, after: MonitoredPoint, end: str, until: Until | None
 ) -> _StepOutcome:
-    """Return the events of a step and its last point.
+    """Return the outcome of a step from solution point ``before`` to ``after``: its events and its last point.
 
     The direction has this ``end`` at the last point, unless it ends before.
     """

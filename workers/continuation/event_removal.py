@@ -1,4 +1,7 @@
-"""Orbits without an event that is lost."""
+"""Orbits with one event fewer, after that event has been lost along a branch.
+
+A leg is the motion in one mode between two events; its signals are the distances that decide events.
+"""
 
 import math
 
@@ -11,7 +14,7 @@ LOST_AT_ONCE = 3
 
 
 def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
-    """Return the same orbit from its event k on."""
+    """Return the same orbit with its event k as the first event; ``span`` is the length of a turn."""
     (sides, periods, symmetric, legs), sign = orbit.itinerary, orbit.itinerary.sign
     turned = tuple(sign * side for side in sides[:k])
     itinerary = Itinerary(sides[k:] + turned, periods, symmetric, legs[k:] + orbit.itinerary.legs_after(0, sign)[:k])
@@ -64,7 +67,10 @@ def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
 
 
 def _of_phases(chain: tuple[Leg, ...]) -> tuple[Leg, ...]:
-    """Return the legs of a turn without events, which begins with the first phase."""
+    """Return the legs of a turn without events, which begins with the machine's first phase.
+
+    A leg is the motion in one mode; here it ends where the phase changes.
+    """
     first = next((k for k, leg in enumerate(chain) if leg.code.phase == 0), 0)
     turn = (chain[first:] + chain[:first])[: max(1, len(chain) - 1)]
     return tuple(leg._replace(begun=(0,) * len(leg.begun), signal=-1, side=0) for leg in turn)

@@ -273,10 +273,10 @@ def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
 
 
 def halves_met(step: ContinuationStep) -> Itinerary | None:
-    """Return the itinerary of the orbit of half the turn that is passed on a step.
+    """Return the itinerary, the sequence of events, of an orbit of half the length that a step passes.
 
-    Both halves of the turn exchange their roles there. If no step converged, so that ``here`` is ``there``, return the
-    itinerary of the nearest such orbit. Return None if there is no such orbit.
+    Both halves of the turn exchange their roles there. If no step converged, so that both ends of the step are equal,
+    return the itinerary of the nearest such orbit. Return None if there is no such orbit.
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:

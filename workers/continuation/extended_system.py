@@ -71,7 +71,7 @@ class Condition(NamedTuple):
 def conditions_on(
     orbit: Orbit, conditions: tuple[Condition, ...], former: Orbit, span: float
 ) -> tuple[Condition, ...] | None:
-    """Return conditions on the orbit ``former`` as conditions on an orbit with other events but about the same times.
+    """Translate conditions on the orbit ``former`` to ``orbit``, which has other events at about the same times.
 
     ``span`` is the length of a turn. Return None if the event of a condition is gone.
     """
@@ -254,9 +254,9 @@ class ExtendedSystem:
         return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
 
     def critical(self, X: Array) -> Array:
-        """Return the direction (states,) of the multiplier in the first condition, at unknowns X (N,).
+        """Return the direction (states,) of a disturbance whose multiplier is that of the first condition.
 
-        The direction is one of state and times, in units of the scale.
+        The disturbance, one of state and times at unknowns X (N,), is in units of the scale.
         """
         return self._of_unknowns(self.motion(X), self.rebordered(X).borders[0][1][None])[0]
 

@@ -70,7 +70,7 @@ def hopf_curve(
 
 
 class _HopfCurveWalk:
-    """A walk along the curve, in units of the window; ``first`` is its first point."""
+    """A walk along a curve of Hopf points, with coordinates in units of the window; ``first`` is its first point."""
 
     def __init__(self, family: Family, orbit: Orbit, bounds: Array, length: float) -> None:
         self.family, self.code, self.length = family, code_of(orbit), length
@@ -138,7 +138,10 @@ class _HopfCurveWalk:
         ]
 
     def _onward(self, center: Array, angle: float) -> float | None:
-        """Return the angle of the crossing nearest to ``angle``; None if the curve would turn back."""
+        """Return the angle of the next crossing, the one nearest to ``angle``; None if the curve would turn back.
+
+        The crossing is a point where the curve crosses the circle about ``center`` (2,).
+        """
         ends = [angle - 0.5 * STEP, angle + 0.5 * STEP]
         stable = [self._is_stable(self._seen(center, end)) for end in ends]
         if stable[0] != stable[1]:

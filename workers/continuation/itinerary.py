@@ -22,10 +22,10 @@ def mirror_sign(signal: int, contacts: int) -> int:
 
 
 class Leg(NamedTuple):
-    """The flow of a mode from an event, or from a change of phase, to the next one.
+    """The motion in one mode, a set of linear equations, from one event or change of phase to the next.
 
     code    the mode
-    begun   (G,) how the signals of the mode start, see hybrid.events
+    begun   (G,) end of its range, +-, at which each signal starts in the mode, 0 for none, see hybrid.events
     signal  signal that reaches an end of its range at the event; -1 if the phase changes
     side    which end the signal reaches; 0 if the phase changes
     """

@@ -150,7 +150,7 @@ class ContinuationStep(NamedTuple):
     end: Array
 
     def guess(self, share: float) -> Array:
-        """Return the unknowns (N,) at this share of the chord."""
+        """Return the unknowns (N,) at this share, from 0 to 1, of the straight line from start to end of the step."""
         return self.start + share * (self.end - self.start)
 
     def solution(self, share: float) -> NewtonResult:

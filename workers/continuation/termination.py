@@ -55,9 +55,10 @@ def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent 
 
 
 def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
-    """Return the event at which an orbit loses its slowest event, if next to ``here``: a corner of a branch.
+    """Return the event at which an orbit loses its slowest event, if it is next to the start of the step; else None.
 
-    Return None if all events are impacts, since the equations are smooth beyond the loss of an impact.
+    Such an event is a corner of a branch. Return None if all events are impacts, since the equations are smooth beyond
+    the loss of an impact.
     """
     motion = step.equations.motion(step.start)
     if motion.plan.impacts:

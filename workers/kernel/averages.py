@@ -20,7 +20,11 @@ FEWEST_BLOCKS = 32
 
 @inlined
 def add_to_blocks(levels, x):
-    """Add a value to the blocking analysis (Flyvbjerg & Petersen 1989): the mean of two blocks moves up a level."""
+    """Add a value to the blocking analysis, which averages ever longer runs of values (Flyvbjerg & Petersen 1989).
+
+    ``levels`` (LEVELS, 4) changes in place. A run of 2^k values is a block of level k; the mean of two blocks moves up
+    a level.
+    """
     for k in range(LEVELS):
         levels[k, COUNT] += 1.0
         deviation = x - levels[k, MEAN]
@@ -37,10 +41,11 @@ def add_to_blocks(levels, x):
 def standard_error(levels):
     """Return the standard error of the mean of correlated values: the largest from blocks that are long enough.
 
-    Blocks of B = 2^k values give the error e_k, which grows from sigma / sqrt(N) to sqrt(sigma^2 tau / N). Blocks are
-    long enough from the first k with B^3 > 2 N (e_k / e_0)^4 (Lee et al. 2011). Longer blocks reveal weak correlations,
-    such as long flights that now and then miss the stops. The result is NaN below FEWEST_BLOCKS values. If no k
-    qualifies, it is the largest e_k of the levels with at least FEWEST_BLOCKS blocks.
+    A block is the mean of B consecutive values. Blocks of B = 2^k values give the error e_k, which grows from sigma /
+    sqrt(N) to sqrt(sigma^2 tau / N). Blocks are long enough from the first k with B^3 > 2 N (e_k / e_0)^4 (Lee et al.
+    2011). Longer blocks reveal weak correlations, such as long flights that now and then miss the stops. The result is
+    NaN below FEWEST_BLOCKS values. If no k qualifies, it is the largest e_k of the levels with at least FEWEST_BLOCKS
+    blocks.
     """
     error, first, count, enough = np.nan, np.nan, levels[0, COUNT], False
     for k in range(LEVELS):

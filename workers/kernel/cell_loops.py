@@ -21,7 +21,10 @@ from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 @kernel
 def energy_norm(blocks, h):
-    """Return sqrt(sum_j metric_j h_j^2 + h_j'^2) of block states h (n, 2)."""
+    """Return sqrt(sum_j metric_j h_j^2 + h_j'^2), the size of block states h (n, 2).
+
+    A block is one decoupled equation of the motion; row j of h is (h_j, h_j') of block j.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total += blocks[j, COLUMN.metric] * h[j, 0] ** 2 + h[j, 1] ** 2
@@ -86,7 +89,10 @@ def impact_free(oscillators, motions, cells):
 
 @kernel
 def reset_frames(blocks, motions, cells):
-    """Make the tangent frames of these cells orthonormal and count their growth."""
+    """Make the tangent frames of these cells orthonormal, and add the logarithms of their lengths to their growth.
+
+    The frame of a cell is the set of tangent vectors carried along with its motion. All changes are in place.
+    """
     motions = by_reference(motions)
     for r in cells:
         reset_frame(blocks[r], row_of(motions, r))
@@ -94,7 +100,7 @@ def reset_frames(blocks, motions, cells):
 
 @kernel
 def physical_states(oscillators, motions, cells):
-    """Return the physical section states (len(cells), 2n) of these cells."""
+    """Return the states (len(cells), 2n) of these cells at the section: n displacements, then n velocities."""
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
@@ -114,7 +120,7 @@ def standard_errors(levels, cells):
 
 @kernel
 def excursions(oscillators, h, mode, periods, allowance, cells):
-    """Return the least and the greatest y - y0 (N, 2) of motions from block states.
+    """Return the least and the greatest distance (N, 2) of the gap coordinate y from its rest y0, for N motions.
 
     h         (N, n, 2)  block states at a section
     mode      (N, 1)     numbers of their modes

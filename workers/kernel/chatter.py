@@ -53,7 +53,7 @@ def chatter_left(load, jerk, cA2k, w, R):
 
 @inlined
 def with_estimate(ends, end):
-    """Return the last three estimates of a chatter's end, with ``end`` as the newest."""
+    """Return the last three estimates (3,) of the time at which a chatter ends, with ``end`` appended as the newest."""
     return ends[1], ends[2], end
 
 
@@ -129,7 +129,10 @@ def hop(blocks, waves, omega, h, phase, side, w, s, rate):
 
 @inlined
 def series(u, w, t):
-    """Return p(t) = w + sum_k u_k t^(k-1) over k = 2...ORDER, and p'(t)."""
+    """Return p(t) = w + sum_k u_k t^(k-1) over k = 2...ORDER, and p'(t).
+
+    The distance of the mass from the stop is t p(t), see ``hop``.
+    """
     p, slope = 0.0, 0.0
     for order in range(ORDER, 1, -1):
         slope = slope * t + p

@@ -65,7 +65,7 @@ def is_rebound(load, v, R, cA2k, scale, remaining, period):
 
 @inlined
 def kick(blocks, h, dv):
-    """Change the velocity of the gap coordinate by dv: z + dv k, in place."""
+    """Change the velocity of the gap coordinate by dv: z + dv k for a block state h (n, 2), in place."""
     for j in range(len(blocks)):
         h[j, 0] += dv * blocks[j, COLUMN.k0]
         h[j, 1] += dv * blocks[j, COLUMN.k1]
@@ -73,7 +73,7 @@ def kick(blocks, h, dv):
 
 @inlined
 def shift(blocks, h, dy):
-    """Move the gap coordinate by a rounding error dy: z + dy A k, in place; c.A k = 1."""
+    """Move the gap coordinate by a rounding error dy: z + dy A k for a block state h (n, 2), in place; c.A k = 1."""
     for j in range(len(blocks)):
         h[j, 0] += dy * blocks[j, COLUMN.Ak0]
         h[j, 1] += dy * blocks[j, COLUMN.Ak1]

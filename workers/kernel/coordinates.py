@@ -1,6 +1,8 @@
 """Conversion between physical section states and block coordinates, with the mode of a motion.
 
-A motion carries its mode. A physical state alone gets its mode from ``start_at``.
+A physical state holds displacements and velocities. Block coordinates are (h, h') of each decoupled equation. A mode is
+one set of linear equations between two events, such as flight or rest on a stop. A motion carries its mode. A physical
+state alone gets its mode from ``start_at``.
 """
 
 import numpy as np
@@ -41,7 +43,10 @@ def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int
 
 @external(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
 def start_hybrid(oscillator, state, h):
-    """Do ``start_at`` for a machine with modes."""
+    """Write block coordinates h (n, 2) of a physical section state (2n,) of a machine with modes, and return its mode.
+
+    This is ``start_at`` for such machines. A mode is one set of linear equations between two events.
+    """
     state, h = by_value(state), by_value(h)
     enter_frame(oscillator.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
     return mode_number_of_state(oscillator.table.elements, state)
@@ -82,7 +87,10 @@ def start_at(oscillator, state, h):
 
 @inline_always
 def mode_at_rest(oscillator, side, h, turn):
-    """Return the mode of a state on a stop with v = 0: sticking if the load presses, else about to leave."""
+    """Return the number of the mode of a state that is on a stop with v = 0.
+
+    The mode, the set of equations that holds next, is sticking if the load presses, else the mass is about to leave.
+    """
     n = h.shape[0]
     u, nothing = np.empty((n, 2)), np.empty((0, n, 2))
     to_sticking(oscillator, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
@@ -118,7 +126,10 @@ def put_on_stop(row, stop, x):
 
 @external(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
 def leave_hybrid(oscillator, h, mode, state):
-    """Do ``leave_blocks`` for a machine with modes."""
+    """Add the physical state of block coordinates h (n, 2) to a state (2n,) of zeros, for a machine with modes.
+
+    This is ``leave_blocks`` for such machines.
+    """
     h, state = by_value(h), by_value(state)
     leave_frame(oscillator.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
     snap_to_mode(oscillator.table.elements, mode, state)

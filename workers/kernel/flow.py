@@ -14,7 +14,7 @@ FALL = tuple(1.0 / math.factorial(k) for k in range(17, 1, -1))
 
 @inlined
 def oscillating_flow(s, eta, lam, w, inv_w):
-    """Return ``flow_entries`` of an underdamped block."""
+    """Return (f11, f12, f21, f22), which advance (h, h') of an underdamped block by a time s, see ``flow_entries``."""
     decay = exp_minus(eta * s)
     sin, cos = sin_cos(w * s)
     S = sin * inv_w
@@ -56,7 +56,10 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
 
 @kernel
 def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
-    """Return ``flow_entries`` of a growing block, slow < 0: eta or lam is negative."""
+    """Return (f11, f12, f21, f22), which advance (h, h') of a growing block by a time s, see ``flow_entries``.
+
+    A block grows if eta or lam is negative; then slow < 0.
+    """
     x = d * s * s
     if x > -0.1:
         growth = exp(-eta * s)
@@ -75,7 +78,10 @@ def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
 
 @inlined
 def block_flow(block, s):
-    """Return ``flow_entries`` of a block, a row of GuardedFlow.blocks."""
+    """Return the four numbers (f11, f12, f21, f22) that advance (h, h') of one block by a time s.
+
+    A block, one decoupled equation of motion, is a row of GuardedFlow.blocks. See ``flow_entries``.
+    """
     eta, lam, w, inv_w = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.w], block[COLUMN.inv_w]
     if block[COLUMN.slow] < 0.0:
         return growing_flow(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
@@ -98,14 +104,14 @@ def fall(s, eta):
 
 @kernel
 def rise(s, eta):
-    """Return ``fall`` for eta < 0."""
+    """Return the displacement of a rigid mode of vibration after s under a unit load, from zero state, for eta < 0."""
     x = 2.0 * eta * s
     return fall(s, eta) if x > -1.0 else s * s * (((x - 1.0) + exp(-x)) / (x * x))
 
 
 @inlined
 def moved_by_load(s, eta):
-    """Return ``fall`` for either sign of eta."""
+    """Return the displacement of a rigid mode of vibration after s under a unit load, from zero state, for any eta."""
     if eta < 0.0:
         return rise(s, eta)
     return fall(s, eta)
@@ -149,7 +155,7 @@ def flow_with_tangent(block, s, h, V):
 
 @kernel
 def guard_of(blocks, h):
-    """Return c . h over all blocks, h (n, 2)."""
+    """Return the value c . h of the guard, the signal that ends a mode, at a block state h (n, 2)."""
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.c1], h[j, 1], fma(blocks[j, COLUMN.c0], h[j, 0], total))
@@ -158,7 +164,7 @@ def guard_of(blocks, h):
 
 @kernel
 def guard_rate_of(blocks, h):
-    """Return cA . h over all blocks, h (n, 2)."""
+    """Return the rate cA . h of the guard, the signal that ends a mode, at a block state h (n, 2)."""
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.cA1], h[j, 1], fma(blocks[j, COLUMN.cA0], h[j, 0], total))

@@ -83,10 +83,10 @@ step."""
 
 
 class Motion(NamedTuple):
-    """State of one cell, all that ``advance`` changes; a batch of motions has one more leading axis per field.
+    """State of the motion of one cell, changed in place by ``advance``; a batch has one more leading axis per field.
 
     h        (n, 2)     block coordinates without the forced response
-    mode     (1,)       number of the mode, see hybrid_modes.ModeCode and FLIGHT; or BEYOND
+    mode     (1,)       number of the mode, a set of equations, see hybrid_modes.ModeCode and FLIGHT; or BEYOND
     V        (m, n, 2)  tangent vectors; m = 0 if none are followed
     growth   (m,)       log of the growth removed from each vector so far
     triangle (m, m)     factors of tangent.orthonormalise; (0, 0) if not wanted
@@ -139,7 +139,10 @@ def has_modes(oscillator):
 
 @inline_always
 def spend(tally, evaluations):
-    """Count evaluations. Every leg of a motion costs at least one, so that no chain of legs is endless."""
+    """Add evaluations, the unit in which work is counted, to the tally (counts) of a motion, in place.
+
+    Every leg, the motion between two events, costs at least one evaluation. No chain of legs is therefore endless.
+    """
     tally[EVALUATIONS] += evaluations
     tally[WORK] -= max(1, evaluations)
     if tally[WORK] < -OVERDRAFT:
@@ -190,7 +193,7 @@ def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
 
 @kernel
 def motion_alone(h, mode):
-    """Return a motion without tangent vectors that starts at block state h (n, 2) in this mode."""
+    """Return a motion without tangent vectors that starts at block state h (n, 2) in the mode of this number."""
     return motion_with(h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
 
 

@@ -84,7 +84,7 @@ named_constants(OutputHistory)
 
 @kernel
 def put(seen, m, value):
-    """Add a value of observable m."""
+    """Append a value to those of observable m in ``seen``, in place, if there is room, and count it."""
     if seen.counts[m] < seen.values.shape[1]:
         seen.values[m, seen.counts[m]] = value
     seen.counts[m] += 1
@@ -101,7 +101,10 @@ def put_turn(seen, m, highest):
 
 @kernel
 def head(seen, m, highest, direction, y, counts):
-    """Continue an output in this direction from y. A turning point of rounding size does not count."""
+    """Record in ``seen`` that the output of observable m rises or falls from its value y on.
+
+    A turning point of rounding size does not count.
+    """
     course = seen.course[m]
     if course[COURSE.heading] * direction < 0.0:
         near = abs(y - course[COURSE.at]) <= LEAST_RISE * course[COURSE.size]

@@ -1,7 +1,8 @@
 """The stroboscopic map: ``advance`` takes one cell through one forcing period.
 
-The loop of mode, first guard and reset map is the only hot kernel. Between sections the phase runs from tau to tau + 2
-pi; absolute time never enters.
+The loop over legs is the only hot kernel. On each leg it solves the linear equations of one mode, finds the first
+event, and applies the jump there. The section is the instant of one fixed phase in each period. Between sections the
+phase runs from tau to tau + 2 pi; absolute time never enters.
 """
 
 import numpy as np

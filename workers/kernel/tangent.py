@@ -1,4 +1,7 @@
-"""The tangent frame: Gram-Schmidt with the logarithms of its factors (Li & Tan 2011), and when it is due."""
+"""The tangent frame, the set of tangent vectors that a motion carries along, and when it is made orthonormal.
+
+Gram-Schmidt orthonormalisation keeps the logarithms of its factors (Li & Tan 2011).
+"""
 
 import math
 
@@ -112,7 +115,7 @@ def add_row(triangle, growth, i, k, factor):
 
 @external(FLOATS[2], types.float64, FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def graded_flow(blocks, s, V, growth, triangle, rank):
-    """Advance the tangent vectors V (m, n, 2) by any s, as V exp(growth) triangle.
+    """Advance the tangent vectors V (m, n, 2) by any time s; they become the product V exp(growth) triangle, in place.
 
     blocks            rows of eta, lam, ..., see Block
     growth, triangle  see ``orthonormalise``
@@ -224,7 +227,10 @@ def fly_far(oscillator, motion, s):
 
 @kernel
 def reset_frame(blocks, motion):
-    """Make the frame orthonormal and count its growth."""
+    """Make the frame of a motion, its tangent vectors, orthonormal in place.
+
+    The logarithm of the length of each vector is added to its growth.
+    """
     V, growth, tally = motion.V, motion.growth, motion.tally
     if growth.shape[0] > 0:
         orthonormalise(blocks, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
@@ -233,7 +239,11 @@ def reset_frame(blocks, motion):
 
 @inlined
 def needs_reset(spread, more, limit):
-    """Return True if the frame must be made orthonormal before the next flight and impact spread it by ``more``."""
+    """Return True if the frame must be made orthonormal before the next flight and impact spread it by ``more``.
+
+    The frame is the set of tangent vectors of a motion. ``spread`` is its spread so far, as a logarithm; ``limit`` the
+    largest one.
+    """
     return spread > 0.0 and spread + more > limit
 
 

@@ -144,7 +144,7 @@ def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kind
 
 
 def _of_kind(record: Any, kind: Kinds) -> Any:
-    """Return the record of each machine, from the records of kinds."""
+    """Return the record of each machine by copying the record of its kind; ``kind`` has the kind of each machine."""
     return record if isinstance(kind, EllipsisType) else at_rows(record, kind)
 
 

@@ -74,7 +74,7 @@ def _entry_in(definition: Definition, p: int, key: str) -> str:
 
 
 def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
-    """Yield load and force of each phase, by their entries."""
+    """Yield (entry, values) for load and force of each phase; the entry is the key of the definition."""
     for p, load in enumerate(machine.load):
         yield _entry_in(definition, p, "load"), load
         where = _entry_in(definition, p, "force")
@@ -84,7 +84,7 @@ def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[s
 
 
 def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
-    """Yield the constants of contacts and friction by their entries, also in each phase."""
+    """Yield (entry, values) for each constant of contacts and friction, also in each phase; the entry is its key."""
     for c, contact in enumerate(definition.contacts):
         if contact.rigid:
             yield f"{_contact(definition, c)}.restitution", machine.R[c]

@@ -42,11 +42,13 @@ ULPS = 8.0
 
 
 class BlockFlow(NamedTuple):
-    """Flow of N machines, decided by mass, damping, stiffness, and the row of the guard.
+    """Linear motion of N machines without a force, as decoupled equations of motion, the blocks.
 
     modes         blocks of the matrices
     inverse_mass  (N, n, n) M^-1
     blocks        (N, n, columns) constants of the blocks, see Block, without a load, with the metric of elastic blocks
+
+    Mass, damping, stiffness and the row of the guard, the signal that ends the motion, decide all fields.
     """
 
     modes: BlockDecomposition
@@ -182,9 +184,9 @@ def loading_of(flow: BlockFlow, force: Any, load: Array) -> BlockLoading:
 
 
 def mode_of(flow: BlockFlow, loading: BlockLoading, omega: Array, direct: Any = 0.0) -> tuple[GuardedFlow, Mask]:
-    """Return the modes of flows under a loading at forcing frequencies (N,), and the mask (N,) of resonance.
+    """Return the free flight of N machines as a mode with its guard, and the mask (N,) of undamped resonance.
 
-    flow, loading  see BlockFlow and BlockLoading
+    flow, loading  the decoupled equations of motion, and the force on them, see BlockFlow and BlockLoading
     omega          (N,) forcing frequencies
     direct         (N, H) complex amplitudes of e^(i k phi) that the guard has besides c . blocks
     """
@@ -385,7 +387,10 @@ def arrays_in(record: Any) -> list[Array]:
 
 
 def derivative(row: Array, modes: BlockDecomposition) -> Array:
-    """Return ``derivative_of`` a row in these modes."""
+    """Return the row of the time derivative of ``row``, see ``derivative_of``.
+
+    ``modes`` has the decoupled equations of motion on whose states the rows act.
+    """
     return derivative_of(row, modes.eta, modes.lam)
 
 

@@ -44,9 +44,10 @@ soft contact that is released by force.
 
 
 class ModeCode(NamedTuple):
-    """A mode: the phase, the state of each contact, and the sign of each slip, 0 while the friction sticks.
+    """The code of a mode, the set of linear equations that holds between two events.
 
-    In segment j = 0, 1, ... of a law the slip is +-(1 + j).
+    The code has the phase, the state of each contact, and the sign of each slip, which is 0 while the friction sticks.
+    In segment j = 0, 1, ... of a piecewise linear law the slip is +-(1 + j).
     """
 
     phase: int
@@ -186,9 +187,10 @@ def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, 
 
 @np.errstate(all="ignore")
 def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, ModeStructure]]:
-    """Return the structures of a mode of machines, with the rows of the machines that share one.
+    """Return a list of (rows, structure): the part of a mode that does not depend on the forcing frequency.
 
-    Machines are grouped by the friction that sticks on the row of a sticking contact, since the contact forces differ.
+    A mode is a set of linear equations between two events; ``rows`` are the machines with the same structure. Machines
+    are grouped by the friction that sticks on the row of a sticking contact, since the contact forces differ.
     """
     along = along_contacts(machines)
     resting, kind = _resting(machines, code, along)

@@ -29,7 +29,7 @@ RANGE_SHARE, LAW_ERROR = "_range_share", "_law_error"
 
 @dataclass(frozen=True)
 class OutputMeasure:
-    """An output row . x, row . x' or row . x'', with its reports.
+    """An output row . x, row . x' or row . x'' that is measured, and the numbers to report of it.
 
     displacement, velocity, acceleration  the row, on x, x' or x''; the other two are None
     weight                                factor of the power, None without that report
@@ -90,14 +90,21 @@ def _read_report(where: str, value: Any) -> tuple[str, ...]:
 
 
 def measure_variables(measures: Measures) -> Iterator[tuple[str, Variable]]:
-    """Yield reports of measures as variables NAME_mean, NAME_rms, NAME_peak and NAME_power, each with its entry."""
+    """Yield (entry, variable) for each number that is reported of a measured output.
+
+    The variables are NAME_mean, NAME_rms, NAME_peak and NAME_power, as far as the definition asks for them. The entry
+    is the key of the definition, for error messages.
+    """
     for name, measure in measures:
         for report in measure.report:
             yield f"system.measures.{name}", _number(f"{name}_{report}", f"{REPORTS[report]} of {measure.kind} {name}")
 
 
 def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]) -> Iterator[tuple[str, Variable]]:
-    """Yield results of contacts and friction as variables that begin with their names, each with its entry."""
+    """Yield (entry, variable) for each result of a contact or friction; variables begin with the element's name.
+
+    The entry is the key of the definition, for error messages.
+    """
     for k, contact in enumerate(contacts):
         where, name, of = f"system.contacts[{k}].name", contact.name, f"contact {contact.name}"
         for side in ("upper", "lower"):
@@ -117,9 +124,9 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
 
 
 def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[tuple[str, Variable]]:
-    """Yield how far laws that are expressions were used, as variables that begin with the names of their elements.
+    """Yield (entry, variable) for results that tell how far a law given as an expression was used.
 
-    The largest argument of a contact's law is its penetration.
+    The variables begin with the names of the elements. The largest argument of a contact's law is its penetration.
     """
     for element in elements:
         name, where, of = element.name, f"law of {element.name}", f"the law of {element.name}"

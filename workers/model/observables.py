@@ -125,7 +125,7 @@ class Observable:
 
     @property
     def words(self) -> str:
-        """Meaning of the observable, in words for tables, axes and pages."""
+        """Description of the observable, in words for tables, axes and pages."""
         if self.kind in OF_IMPACTS:
             contact, stop = f" on {self.of}" if self.of else "", f" at the {self._side} stop" if self._side else ""
             return WORDS[self.kind].format(contact + stop)

@@ -95,9 +95,10 @@ def squared(P, d):
 
 @external(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
-    """Return True if a turn from block state h (n, 2) to ``image`` converges to the orbit through ``fixed``.
+    """Return True if one turn, from block state h to ``image``, proves convergence to the orbit through ``fixed``.
 
-    The test is |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
+    The states are (n, 2). The test is |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of
+    ``shrinking_norm``.
     """
     P, J, fixed, h, image = by_value(P), by_value(J), by_value(fixed), by_value(h), by_value(image)
     d, r = deviation(h, fixed), deviation(image, fixed)

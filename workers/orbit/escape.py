@@ -23,11 +23,12 @@ forever."""
 
 @kernel
 def future_of(blocks, numbers, h, offset, low, high):
-    """Return the future of a guard plus offset, with ends low and high, from block state h (n, 2) on.
+    """Return where a guard stays for ever, from block state h (n, 2) on: BEHIND, INSIDE, or another code if unknown.
 
-    BEHIND: the fastest growth a e^(r s), r real, moves the guard away from its only end, and the other terms are at
-    most M e^(m s). Then y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r
-    >= M m. INSIDE: nothing grows in the guard, m = 0 and a = 0, and M keeps it between its ends.
+    A guard is a signal whose ends ``low`` and ``high`` are events; ``offset`` is added to the signal. BEHIND: the
+    fastest growth a e^(r s), r real, moves the guard away from its only end, and the other terms are at most M e^(m s).
+    Then y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r >= M m. INSIDE:
+    nothing grows in the guard, m = 0 and a = 0, and M keeps it between its ends.
     """
     first, r = 0, 0.0
     for j in range(len(blocks)):
@@ -99,7 +100,10 @@ def escaping(oscillators, motions, cells):
 
 @inline_always
 def escapes_in_modes(oscillator, h, mode):
-    """Return True if a growing motion meets no guard of its mode again; False if phases change the mode."""
+    """Return True if a growing motion never reaches an end of a guard of its mode again.
+
+    A guard is a signal whose ends are events. Return False if phases change the mode.
+    """
     table, pieces, at = oscillator.table, oscillator.table.pieces, np.zeros(h.shape)
     k = slot_of(table.codes, mode)
     if k < 0 or table.elements.starts.shape[0] > 2:

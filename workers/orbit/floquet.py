@@ -1,4 +1,7 @@
-"""Floquet multipliers of an orbit without the product of its Jacobians, in which small multipliers would be lost."""
+"""Floquet multipliers of an orbit without the product of its Jacobians, in which small multipliers would be lost.
+
+A frame, a set of tangent vectors, is carried round the orbit instead.
+"""
 
 import math
 
@@ -19,9 +22,9 @@ NARROW = 2.0
 
 @kernel
 def overlaps(blocks, before, after, m):
-    """Return the energy products of the first m vectors of two frames.
+    """Return the products (m, m) of the first m tangent vectors of two frames in the energy norm.
 
-    They are an orthogonal matrix if both frames span the same space.
+    A frame is a set of tangent vectors. The products are an orthogonal matrix if both frames span the same space.
     """
     products = np.empty((m, m))
     for i in range(m):
@@ -32,7 +35,7 @@ def overlaps(blocks, before, after, m):
 
 @kernel
 def block_ends(rotation):
-    """Return the ends of the diagonal blocks of an orthogonal matrix."""
+    """Return the indices at which the diagonal blocks of an orthogonal, block diagonal matrix end."""
     size = len(rotation)
     ends = np.empty(size, dtype=np.int64)
     count = 0
@@ -49,7 +52,10 @@ def block_ends(rotation):
 
 @kernel
 def spread_of(logs, ends):
-    """Return the largest difference of logarithms within one block."""
+    """Return the largest difference of ``logs``, logarithms of growth, within one diagonal block.
+
+    ``ends`` are the indices at which the diagonal blocks end.
+    """
     spread, start = 0.0, 0
     for end in ends:
         least = logs[start]

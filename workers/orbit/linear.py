@@ -99,7 +99,13 @@ class AffineMaps(NamedTuple):
 
 @kernel
 def affine_maps(oscillators, mode, states, cells, cycles):
-    """Return the fields of AffineMaps from states (E, n, 2) of these cells, multipliers from up to ``cycles`` turns."""
+    """Return the fields of AffineMaps: the affine map of one period at states (E, n, 2) of these cells.
+
+    oscillators, mode  machines, and numbers of the modes of their motions
+    states             (E, n, 2) block states
+    cells              rows of the machines
+    cycles             maximum number of turns simulated for the multipliers
+    """
     oscillators = by_reference(oscillators)
     E, n = states.shape[0], states.shape[1]
     images, fixed, jacobians = np.empty((E, n, 2)), np.empty((E, n, 2)), np.empty((E, 2 * n, 2 * n))

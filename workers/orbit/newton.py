@@ -159,9 +159,10 @@ def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
 
 @inline_always
 def find_orbit(oscillator, h, mode, steps, half, scale, budget):
-    """Return (NO_ORBIT, UNPROVED or PROVED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
+    """Return (verdict, PeriodicOrbit, half periods spent) of the orbit near block state h (n, 2).
 
-    The orbit closes after ``steps`` or a divisor of them.
+    The verdict is NO_ORBIT, UNPROVED or PROVED, see ``settle``. At most ``budget`` half periods are spent. The orbit
+    closes after ``steps`` or a divisor of them.
     """
     guess, spent = h, 0
     while True:
@@ -242,7 +243,9 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 
 @inline_always
 def settle(oscillator, motion, sections, near, longest, budget):
-    """Return (NO_ORBIT, UNPROVED or PROVED, PeriodicOrbit, shift, periods spent) of a motion.
+    """Return (verdict, PeriodicOrbit, shift, periods spent): the stable orbit to which a motion converges.
+
+    The verdict is NO_ORBIT, UNPROVED or PROVED.
 
     PROVED: the motion converges to that stable orbit.
 

@@ -21,14 +21,14 @@ AT_REST = 1e-10
 
 
 class RecordedLeg(NamedTuple):
-    """The motion in one mode, and the event that begins it.
+    """One leg: the motion in one mode, a set of linear equations, and the event that begins it.
 
     time    time of the event after the first section
     signal  signal that reaches an end of its range; -1 if the phase changes or the motion begins
     side    end that the signal reaches, -1 or 1; 0 if the phase changes or the motion begins
     rate    rate of the signal
     code    mode after the event
-    begun   how the signals of the mode start
+    begun   (G,) for each signal of the mode, the end of its range at which it starts, 0 for none, see hybrid.events
     """
 
     time: float
@@ -55,14 +55,16 @@ def record_legs(oscillators: Oscillator, state: Array, periods: int) -> list[Rec
 
 
 def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: Array | None = None) -> Iterator[Array]:
-    """Yield the legs, see leg_record.LegRecord, of each period of a motion of a single oscillator.
+    """Yield the legs of each period, an array (K, columns), of a motion of a single oscillator.
 
     oscillators  the oscillator, in a batch
     state        (2n,) physical state at the start
     number       number of the mode there
     tally        (TALLIES,) counts of a motion; evaluations are subtracted from its remaining work
 
-    Times are counted from the first section. Raise ValueError if the motion cannot be followed, or no work remains.
+    A leg, a row of the array, is the motion in one mode until its first event; for the columns see
+    leg_record.LegRecord. Times are counted from the first section. Raise ValueError if the motion cannot be followed,
+    or no work remains.
     """
     table = take_one(oscillators, 0).table
     for k in count():
@@ -86,7 +88,7 @@ def leg_from_row(oscillators: Oscillator, row: Array) -> RecordedLeg:
 
 
 def mode_code_of_state(elements: ContactElements, z: Array) -> ModeCode:
-    """Return the mode of a state of one machine, in its first phase.
+    """Return the mode, the set of equations that holds, of a physical state z (2n,) of one machine in its first phase.
 
     A state that rests or sticks up to rounding counts as resting or sticking.
     """

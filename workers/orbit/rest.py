@@ -27,8 +27,9 @@ RELEASES = 16
 def pass_period(oscillator, motion, rests):
     """Advance a motion by a period, in place.
 
-    Return whether it rests at the end of the period, and whether that is the first section after a rest. ``rests`` is
-    True if the motion rested before. At a section after a rest the tangent vectors are reset to the block axes.
+    Return two truth values: the mass rests on the stop at the end of the period; the section there is the first after a
+    rest. ``rests`` is True if the motion rested before. At a section after a rest the tangent vectors are reset to the
+    block axes.
     """
     motion.tally[LOST] = 0.0
     advance(oscillator, motion)

@@ -42,7 +42,7 @@ def motion_after(oscillator, h, mode, shift):
 
 @kernel
 def quiet_section(oscillator, h, mode):
-    """Return (shift, h (n, 2), mode, periods flown): a section of a motion without events nearby.
+    """Return (shift, h (n, 2), mode, periods flown): a section t = (k + shift) T without events of the motion nearby.
 
     The block state given is that at t = 0, the one returned that at t = shift T; with modes both are at t = 0.
     """

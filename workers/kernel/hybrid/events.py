@@ -41,9 +41,16 @@ CHANGES = 4
 
 @inlined
 def mode_of(table, states, slips, phase_index):
-    """Return the slot and the number of the mode of these contacts and slips in this phase.
+    """Return the slot and the number of the mode that belongs to given states of contacts and frictions.
 
-    The slot is MISSING, WRONG or RESONATES if the mode cannot be used.
+    table        the modes built so far
+    states (C,)  state of each contact
+    slips (F,)   state of each friction: 0 while it sticks, else the sign of the slip
+    phase_index  phase of the machine
+
+    A mode is one set of linear equations between two events. Its number encodes phase, contacts and slips, see
+    ``hybrid_modes.ModeCode``. Its slot is its index in the table. The slot is negative if the mode cannot be used:
+    MISSING if it is not built, WRONG or RESONATES if it is at fault.
     """
     number = number_of(table.elements, states, slips, phase_index)
     k = slot_of(table.codes, number)
@@ -54,7 +61,13 @@ def mode_of(table, states, slips, phase_index):
 
 @inlined
 def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts):
-    """Find the mode after a jump beyond guards and return as ``mode_of``: friction slips, pushing contacts engage."""
+    """Return the slot and the number of the mode in which a motion continues after its state has jumped.
+
+    A jump may leave signals beyond their ranges. Friction then begins to slip and contacts that are pushed engage, one
+    at a time, until all signals are in range. The states (C,) of contacts, the slips (F,) of frictions and
+    ``signal_starts`` (G,) change in place. The slot is the index of the mode in the table, or a negative code, see
+    ``mode_of``.
+    """
     number = np.int64(0)
     for _ in range(CHANGES * (len(states) + len(slips) + 1)):
         k, number = mode_of(table, states, slips, phase_index)
@@ -67,7 +80,10 @@ def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts)
 
 @inlined
 def follow_one(modes, elements, k, phase_index, states, slips, z, harmonics, signal_starts):
-    """Change the element of the first signal of mode k that is beyond its range; return True if there was one."""
+    """Change the contact or friction of the first signal of mode k that is beyond its range.
+
+    Return True if there was such a signal. A mode is one set of linear equations between two events.
+    """
     C, ends = len(states), modes.ends[k]
     for g in range(SIGNALS * C + len(slips)):
         low, high = ends[g, 0], ends[g, 1]
@@ -117,21 +133,22 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
 def go_on(signal_starts, g, side):
     """Let signal g begin at this end of its range, with the rate of the signal just left; nothing jumps.
 
-    If the signal left the other mode in no time too, its derivatives are hidden by rounding and the start is UNCLEAR.
-    Otherwise a signal at rest on its end would change the mode for ever.
+    The start is written to ``signal_starts``. If the signal also left the mode before it in no time, rounding hides its
+    derivatives and the start is UNCLEAR. Otherwise a signal at rest on its end would change the mode for ever.
     """
     signal_starts[g] = side * (UNCLEAR if signal_starts[g] * side < 0 else 1)
 
 
 @kernel
 def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmonics, signal_starts):
-    """Pass an event of friction e: it begins to slip, stops sliding, or its law enters another segment.
+    """Pass an event of friction e: begin of a slip, end of a slide, or another segment of the law.
 
     g, side    the signal of the friction and the end of its range
     z (2n,)    physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
 
     Friction that stops sliding sticks if it can, else it slides the other way. Nothing jumps between segments. Return
-    the slot and the number of the sticking mode, as of ``mode_of``; the mode must be built to decide.
+    the slot and the number of the mode with sticking friction, see ``mode_of``. A negative slot means that this mode
+    must be built before the event can be decided.
     """
     elements, sign = table.elements, 1 if slips[e] > 0 else -1
     if slips[e] != 0 and (slips[e] != sign or side == sign):  # the next or the previous segment of a law

@@ -1,4 +1,7 @@
-"""Record of the legs of a period, each with the event that begins it, written by the loop of ``hybrid/motion``."""
+"""Record of the legs of a period; a leg is the motion in one mode, together with the event that begins it.
+
+The loop of ``hybrid/motion`` writes the records.
+"""
 
 from typing import NamedTuple
 

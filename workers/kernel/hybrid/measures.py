@@ -151,11 +151,14 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
 
 @kernel
 def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
-    """Subtract the end of a chatter, from block state h (n, 2), from the sticking time of contact c and of friction.
+    """Take the hops that end a chatter out of the sticking times that a leg has added, in place.
 
     In that time the mass flies in mode ``before``, with another acceleration than in mode k, which is integrated by
     Simpson's rule. An extreme lies at the end, or at the rebound from the impact at this rate, with which sticking
     begins.
+
+    The hops start at block state h (n, 2) and last for ``chatter``. The sticking time is that of contact c and of
+    friction.
     """
     n, along = len(h), elements.along
     reading.touching[c] -= chatter
@@ -222,7 +225,10 @@ def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, 
 
 @kernel
 def read_impact(elements, reading, c, end, following, counts):
-    """Count an impact on contact c from state ``end`` (2n,) to state ``following``, and the energy that it takes."""
+    """Add an impact on contact c, from state ``end`` (2n,) to state ``following`` (2n,), to ``reading`` in place.
+
+    The number of impacts and the energy that the contact takes are counted.
+    """
     n = len(end) // 2
     before, after = product(elements.row[c], end, n), product(elements.row[c], following, n)
     reaches_upper = before > 0.0
@@ -240,7 +246,7 @@ def read_impact(elements, reading, c, end, following, counts):
 
 @kernel
 def read_leg(table, meter, reading, before, leg, signal, following, begins, marks, flies, tally):
-    """Add the readings of a leg.
+    """Add what is measured on one leg, the motion in one mode between two events, to ``reading`` in place.
 
     before          mode of the previous leg
     leg             row of legs, see leg_record.LegRecord
@@ -308,8 +314,8 @@ def record_period(table, z, code, tally, duration):
     z    (2n,)  physical state at the start
     code (1,)   number of its mode
 
-    Legs and contacts are complete, as of ``through_modes``; the tally changes in place. If a mode is missing, there are
-    no legs.
+    The legs, one row for each stay in a mode, and the contacts are those of ``through_modes``, without gaps. The tally,
+    the counts of the motion, changes in place. If a mode is not built yet, there are no legs.
     """
     size, room = len(z), LEGS
     flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
@@ -331,7 +337,10 @@ def record_period(table, z, code, tally, duration):
 
 @kernel
 def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
-    """Add the readings of legs up to the state ``end`` (2n,), see ``read_leg``."""
+    """Add what is measured on ``legs`` to ``reading``; the last leg ends in the state ``end`` (2n,).
+
+    A leg is the motion in one mode, from one event to the next. See ``read_leg``.
+    """
     before = np.int64(-1)  # typed: a literal would compile the callees once more
     for i in range(len(legs)):
         last = i + 1 == len(legs)
@@ -343,10 +352,10 @@ def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
 
 @kernel
 def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
-    """Advance a motion by ``duration``, at most a period, and add the readings of its legs.
+    """Advance a motion by ``duration``, at most a period, and add what is measured on its legs to ``reading``.
 
-    State z (2n,) and the number of its mode in code (1,) change in place; see ``read_leg``. If a mode is missing, the
-    motion stays unchanged and nothing is added.
+    State z (2n,) and the number of its mode in code (1,) change in place; see ``read_leg``. If a mode (a set of linear
+    equations) is not built yet, the motion stays unchanged and nothing is added.
     """
     final, number, legs, _ = record_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:

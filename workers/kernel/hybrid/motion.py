@@ -1,4 +1,7 @@
-"""The loop of mode, first guard and reset map, for machines with modes."""
+"""The loop that moves a machine with modes: solve one mode, find its first guard, apply the reset map, change the mode.
+
+A mode is one set of linear equations; a guard is a signal whose end is an event; a reset map is the jump there.
+"""
 
 import numpy as np
 from numba import types
@@ -54,9 +57,10 @@ def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
     result=types.boolean, modes=True,
 )  # fmt: skip
 def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
-    """Find the first event of the leg of machine r on its trajectory, and end the leg there.
+    """Move machine r to the first event of its present leg, the motion in one mode, and end the leg there.
 
-    Return True if the trajectory is over, False also if the motion cannot continue. See ``through_modes``.
+    Return True if the trajectory is over. Return False if it continues, or if it cannot be followed. For the arguments
+    see ``through_modes``.
     """
     table, trip = row_in(tables, r), row_in(trajs, slot)
     k, phase, H = trip.indices[INDEX.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
@@ -87,7 +91,10 @@ def through_modes(table, z, W, code, growth, triangle, tally, contacts, legs, du
 
 @kernel
 def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, legs, duration):
-    """Do ``through_modes`` with work arrays, in a separate kernel, since references live as long as the caller."""
+    """Apply ``through_modes`` with work arrays ``trajs``.
+
+    This is a kernel of its own, since references live as long as the function that created them.
+    """
     trajs = by_reference(trajs)
     trip = row_in(trajs, 0)
     copy_into(trip.z, z)
@@ -105,9 +112,10 @@ def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, le
 
 @external(TABLES, TRIPS, types.int64, FLOATS[2], FLOATS[2], types.float64, result=types.int64, modes=True)
 def go_through(tables, trajs, number, contacts, legs, duration):
-    """Advance a single trajectory from a section, beginning in the mode of this number, and return its last mode.
+    """Advance a single trajectory from a section, beginning in the mode of this number.
 
-    See ``through_modes``.
+    Return the number of its last mode; a mode is one set of linear equations. For the other arguments see
+    ``through_modes``.
     """
     table, trip, contacts, legs = row_in(tables, 0), row_in(trajs, 0), by_value(contacts), by_value(legs)
     tally, scratch = trip.tally, np.empty_like(trip.h)
@@ -172,7 +180,10 @@ def store_motion(to_blocks, omega, motion, traj, more, resets):
 
 @kernel
 def take_on(oscillator, motion, trajs, more, duration):
-    """Do ``through_events`` with work arrays, in a separate kernel, since references live as long as the caller."""
+    """Apply ``through_events`` with work arrays ``trajs``.
+
+    This is a kernel of its own, since references live as long as the function that created them.
+    """
     tables, motion, trajs = as_many(oscillator.table), row_in(as_many(motion), 0), by_reference(trajs)
     table, trip = row_in(tables, 0), row_in(trajs, 0)
     load_motion(oscillator.to_physical, motion, trip, more)
@@ -186,7 +197,11 @@ def take_on(oscillator, motion, trajs, more, duration):
 
 @external(OSCILLATOR, MOTION, types.float64, modes=True)
 def through_events(oscillator, motion, duration):
-    """Do ``period.propagate`` for a machine with modes; if a mode is missing, the motion stays unchanged."""
+    """Advance a motion of a machine with modes by ``duration``, in place, through all its events.
+
+    This is ``period.propagate`` for such machines. If a mode, a set of linear equations, is not built yet, the motion
+    stays unchanged.
+    """
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if oscillator.table.drifts > 0.0 and framed else 0
     n, m = motion.h.shape[0], motion.V.shape[0] + more

@@ -85,9 +85,9 @@ def rests_on_stop(elements, e, states):
 
 @inline_always
 def count_progress(motion, h, omega):
-    """Reset and count the drifting coordinate of a motion that a period took to block state h (n, 2).
+    """Reset the drifting coordinate of a motion to 0 and add its progress to the counts.
 
-    See Oscillator for the drift.
+    A period has taken the motion to block state h (n, 2). For the drift see Oscillator.
     """
     last = h.shape[0] - 1
     motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega

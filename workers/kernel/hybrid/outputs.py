@@ -1,4 +1,8 @@
-"""Outputs of a mode, sums of exponentials and harmonics: extremes, and step lengths for exact Gauss integration."""
+"""Outputs of a mode: extremes, and step lengths for exact Gauss integration.
+
+An output is a displacement, velocity or acceleration to be measured. In a mode, a set of linear equations, it is a sum
+of exponentials and harmonics.
+"""
 
 import math
 
@@ -30,11 +34,12 @@ POSITION, RATE, ACCELERATION = range(3)
 
 @kernel
 def longest_panel(blocks, top, since):
-    """Return the longest step for which Gauss points are exact, a time ``since`` after the start of a leg; see REACH.
+    """Return the longest step on which Gauss integration of a squared output is exact to rounding; see REACH.
 
     top  greatest forcing frequency
 
-    An exponential of rate r and decay rate q has decayed by e^(-q since).
+    The step begins a time ``since`` after the start of a leg, the motion in one mode. ``blocks`` are the decoupled
+    equations of the mode. An exponential of rate r and decay rate q has decayed by e^(-q since).
     """
     longest = REACH / top
     for j in range(len(blocks)):

@@ -20,7 +20,10 @@ ROW_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 @inlined
 def number_of(elements, states, slips, phase_index):
-    """Return the number of the mode of these contacts and slips in this phase, see hybrid_modes.ModeCode."""
+    """Return the number that encodes a mode: its phase, the states of its contacts and the slips of its frictions.
+
+    For the code see hybrid_modes.ModeCode.
+    """
     number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for state in states:
         number = (2 * half + 1) * number + state + half
@@ -59,7 +62,7 @@ def slip_of(elements, e, sliding):
 
 @inline_always
 def slot_of(codes, number):
-    """Return the slot of the mode of this number among those built, -1 if it is not built."""
+    """Return the slot, the index among the modes built so far, of the mode of this number; -1 if it is not built."""
     for k in range(len(codes)):
         if codes[k] == number:
             return k
@@ -172,7 +175,7 @@ def enter_from_section(oscillator, k, h, at):
 
 @inlined
 def enter_frame(matrix, W, V):
-    """Write the block vectors V (m, n, 2) that a matrix (2n, 2n) makes of physical vectors W (m, 2n)."""
+    """Write the tangent vectors V (m, n, 2) in blocks that a matrix (2n, 2n) makes of physical vectors W (m, 2n)."""
     for e in range(len(V)):
         for i in range(len(matrix)):
             V[e, i // 2, i % 2] = product(matrix[i], W[e], 0)
@@ -180,7 +183,7 @@ def enter_frame(matrix, W, V):
 
 @inlined
 def leave_frame(matrix, V, W):
-    """Write the physical vectors W (m, 2n) that a matrix (2n, 2n) makes of block vectors V (m, n, 2)."""
+    """Write the physical tangent vectors W (m, 2n) that a matrix (2n, 2n) makes of vectors V (m, n, 2) in blocks."""
     for e in range(len(V)):
         for i in range(len(matrix)):
             W[e, i] = product_of_blocks(matrix[i], V[e])
@@ -225,7 +228,10 @@ def size_of(row, z, first):
 
 @inlined
 def reset(z, first, row, kick, target, factor):
-    """Reduce the distance of row . z[first:] to ``target`` by the share ``factor``, along ``kick``, row . kick = 1."""
+    """Apply the jump at an event to a state z, in place.
+
+    The distance of row . z[first:] from ``target`` shrinks by the share ``factor``, along ``kick`` with row . kick = 1.
+    """
     change = factor * (target - product(row, z, first))
     for i in range(len(row)):
         z[first + i] += change * kick[i]

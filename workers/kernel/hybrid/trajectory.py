@@ -190,7 +190,7 @@ def make_trajectories(table, N, n, m, framed, square):
 
 @inline_always
 def stop_at(table, tally, k, number):
-    """Set the status of a motion that has no next mode, see events.mode_of."""
+    """Set the status in the tally of a motion that has no next mode; ``k`` is the negative slot, see events.mode_of."""
     if k == MISSING:
         tally[STATUS] = MODE_MISSING
         table.missing[0] = number
@@ -200,10 +200,11 @@ def stop_at(table, tally, k, number):
 
 @inlined
 def fly(modes, k, s, traj, drifts, flown):
-    """Advance the block state and the tangent vectors by s in mode k; with ``flown``, traj.flow already is this flow.
+    """Advance the block state and the tangent vectors of a trajectory by a time s in mode k, in place.
 
-    The frame is made orthonormal before the flight. Directions removed by an event are therefore detected before the
-    flight turns rounding into directions, and multipliers are known to rounding.
+    With ``flown``, traj.flow already holds the flow over s. The frame, the set of tangent vectors, is made orthonormal
+    before the flight. Directions removed by an event are therefore detected before the flight turns rounding into
+    directions. Multipliers are then known to rounding.
     """
     blocks, h, V, growth, flows = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow
     if growth.shape[0] > 0:
@@ -240,7 +241,7 @@ def count_rest(elements, states, lost, s, chatter, tally):
 
 @inline_always
 def keep_held(elements, states, slips, z):
-    """Remove rounding from coordinates that stick on a stop or by friction."""
+    """Remove rounding from a state z (2n,), in place, in coordinates that stick on a stop or by friction."""
     n = len(z) // 2
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
@@ -254,7 +255,10 @@ def keep_held(elements, states, slips, z):
 
 @kernel
 def follow(table, traj):
-    """Find the next mode of the motion, see events.follow_jumps."""
+    """Find the mode in which the motion continues, and write its slot and number into the trajectory.
+
+    A mode is one set of linear equations between two events. See events.follow_jumps for jumps beyond guards.
+    """
     indices = traj.indices
     k, number = follow_jumps(
         table, traj.states, traj.slips, indices[INDEX.where], traj.z, traj.turn, traj.begun
@@ -414,7 +418,11 @@ def strike_hard(table, traj, contacts):
 
 @inline_always
 def strike_stop(table, traj, g, c, side, contacts):
-    """Pass an impact on a rigid contact: its counts, and the remaining time of a chatter."""
+    """Pass an impact on rigid contact c: the state jumps, counts are added, and the rest of a chatter is noted.
+
+    g, side   signal that has reached its stop, and the side of the stop
+    contacts  records of impacts, see motion.through_modes
+    """
     clock, tally, t, rate = traj.clock, traj.tally, traj.clock[CLOCK.time], traj.clock[CLOCK.rate]
     R, energy = table.elements.R[c], table.elements.weight[c] * rate * rate
     following, remaining = impact(
@@ -440,7 +448,7 @@ def strike_stop(table, traj, g, c, side, contacts):
 
 @kernel
 def carry(table, traj, mode):
-    """Carry tangent vectors from ``mode`` through the event just passed by its saltation matrix."""
+    """Carry the tangent vectors from ``mode`` through the event just passed, by its saltation matrix, in place."""
     indices, pieces = traj.indices, table.pieces
     f, after, k, g = traj.before, traj.after, indices[INDEX.mode], indices[INDEX.hit]
     if k < 0:

@@ -1,11 +1,13 @@
 """The tangent frames of the lanes of a batch: flights, impacts and orthonormalisation.
 
-Every round loops over the first n lanes. A lane still in flight keeps its frame by a mask, which costs less than
-gathering the others. ``u`` are the fields of one vector, see ``entry``.
+A lane is a place in loops over cells, which holds one cell. Its frame is the set of tangent vectors of that cell. Every
+round loops over the first n lanes. A lane still in flight keeps its frame by a mask, which costs less than gathering
+the others. ``u`` are the fields of one vector, see ``entry``.
 
-Sums over blocks take two blocks at a time. Those before the last two add up in ``partial``. The last two complete the
-sum and use it at once; the others use it after them. Two blocks make one loop. The number of blocks is even, see
-layout.padded_blocks. Frames of four vectors of two blocks are handled by ``two_blocks.py``.
+A block is one decoupled equation of the motion. Sums over blocks take two blocks at a time. Those before the last two
+add up in ``partial``. The last two complete the sum and use it at once; the others use it after them. Two blocks make
+one loop. The number of blocks is even, see layout.padded_blocks. Frames of four vectors of two blocks are handled by
+``two_blocks.py``.
 """
 
 import math
@@ -69,7 +71,10 @@ def entry(j, c, i):
 
 @inlined
 def last_two(u):
-    """Return the index of the first of the last two blocks."""
+    """Return the index, in a vector u, of the first of its last two blocks.
+
+    A block, one decoupled equation of motion, has two numbers in the vector.
+    """
     return len(u) // (2 * STRIDE) - 2
 
 
@@ -178,9 +183,9 @@ def workspace(m, n):
 
 @kernel
 def spread_pass(a, limit, n):
-    """Decide what each frame has to pass, and return how many frames must be made orthonormal first.
+    """Set the flight and the impact that each frame has to pass, and return how many frames must be reset first.
 
-    A long flight is another reason to make a frame orthonormal.
+    A frame is the set of tangent vectors of one lane. To reset it is to make it orthonormal; a long flight is a reason.
     """
     count = 0
     for i in range(n):
@@ -208,7 +213,7 @@ def spread_pass(a, limit, n):
 
 @inlined
 def is_whole(vectors, blocks):
-    """Return True if ``two_blocks.py`` handles a frame as a whole."""
+    """Return True if frames of this size, four vectors of two blocks, are handled as a whole by ``two_blocks.py``."""
     return vectors == VECTORS and blocks == BLOCKS
 
 

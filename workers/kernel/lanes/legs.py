@@ -1,8 +1,9 @@
-"""Legs of many motions side by side: fields of lanes, and rounds that search for each lane's first signal.
+"""Legs of many motions side by side: fields of lanes, and rounds that search for each lane's first event.
 
-Every signal of a lane has the fields of a gap, see ``layout.py``. The same passes search it, with the ends of its range
-as stops. ``records`` (U, size) are the fields of U signals; the first record also holds the blocks' flow and the time.
-The kernels of one motion pass the events, which few lanes have.
+A leg is the motion in one mode, from one event to the next. A lane holds one motion. A signal is a number computed from
+the state; at an end of its range there is an event. Every signal of a lane has the fields of a gap, see ``layout.py``.
+The same passes search it, with the ends of its range as stops. ``records`` (U, size) are the fields of U signals; the
+first record also holds the blocks' flow and the time. The kernels of one motion pass the events, which few lanes have.
 """
 
 import math
@@ -88,12 +89,14 @@ def copy_lane(records, source, target):
 
 @inlined
 def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts, H):
-    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); return True if all blocks oscillate.
+    """Load a leg in mode k, of at most the time H, into lane i; return True if all blocks oscillate.
 
     signals (U,)    signals to search
     phase           forcing phase at the start
     turn (H, 2)     harmonics of the force at that phase, see state.harmonics_at
     signal_starts   start of each signal, see ``hybrid/events.py``
+
+    The leg, the motion in one mode until its first event, starts at block state h (n, 2).
     """
     oscillates, harmonics, n = True, len(turn), len(h)
     for u in range(len(signals)):

@@ -166,14 +166,20 @@ def begin_period(batch, trajs, r, slot, more):
 
 @inline_always
 def pass_alone(batch, trajs, search, r, slot):
-    """Take cell r through its current leg on its own; return True if its period is over."""
+    """Take cell r to the end of its current leg, without a lane; return True if its period is over.
+
+    A leg is the motion in one mode, a set of linear equations, from one event to the next.
+    """
     tables, hits, none = batch.oscillators.table, batch.motions.impacts[r], search.none
     return advance_leg(tables, r, trajs, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
 
 
 @inline_always
 def pass_found(batch, trajs, search, r, slot, i):
-    """Take cell r through the end of the leg that lane i has found; return True if its period is over."""
+    """Take cell r through the end of its current leg, at the event that lane i has found.
+
+    Return True if the period of the cell is over. A leg is the motion in one mode, from one event to the next.
+    """
     tables, legs = batch.oscillators.table, search.legs
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
@@ -204,11 +210,11 @@ def end_period(batch, trajs, r, slot, ending, before, more):
 
 @kernel
 def turn(batch, trajs, search, r, i, stage, ending, more):
-    """Advance cell r until its next leg to search has begun; return True if there is such a leg.
+    """Advance cell r until a leg begins whose event the lanes can search; return True if there is such a leg.
 
-    i       lane that has searched the current leg
+    i       lane that has searched the current leg, the motion in one mode
     stage   where to continue, see BEGINS
-    ending  whether to stop at a section
+    ending  True to stop at a section
     """
     slot, through = search.slots[i], False
     trip, table = row_in(trajs, slot), row_in(batch.oscillators.table, r)

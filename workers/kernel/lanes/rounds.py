@@ -1,6 +1,7 @@
 """One round of a batch: each lane takes its next certified step, or passes the impact or section it has reached.
 
-A lane's results do not depend, to the bit, on the number and content of other lanes or on its position.
+A lane holds one cell. A certified step is a time in which no stop can be reached. A lane's results do not depend, to
+the bit, on the number and content of other lanes or on its position.
 """
 
 import math

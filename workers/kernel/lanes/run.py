@@ -167,7 +167,10 @@ def is_finished(r, completed, periods, tally):
 
 @inline_always
 def go_alone(batch, r):
-    """Take cell r through a period in which it sticks or needs many steps, and on until it is free at a section."""
+    """Take cell r through a period in which it sticks or needs many steps, by the kernels of one cell.
+
+    Its periods continue in this way until the cell is in free flight at a section; lanes then take it again.
+    """
     motion, osc = row_of(batch.motions, r), row_of(without_mode_table(batch.oscillators), r)
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.blocks, motion.V, motion.growth) if vectors else 0.0

@@ -19,13 +19,13 @@ VECTOR = 4 * STRIDE
 
 @inlined
 def read(U, e):
-    """Return the numbers of a vector of a frame, beginning with number e."""
+    """Return the four numbers of a tangent vector of a frame, from index e of the array U on."""
     return U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE]
 
 
 @inlined
 def write(U, e, u):
-    """Write the numbers u of a vector of a frame, beginning with number e."""
+    """Write the four numbers u of a tangent vector of a frame, from index e of the array U on."""
     U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE] = u
 
 
@@ -77,7 +77,7 @@ def orthonormalise_frames(metric, rank, U, growth, count):
 
 @inlined
 def flown(a, i, flows, u):
-    """Return the vector u after the flight of lane i, if one has completed."""
+    """Return the tangent vector u, four numbers, after the flight of lane i, if a flight has just been completed."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     w0 = fma(a[first + BLOCK.f11], u[0], a[first + BLOCK.f12] * u[1])
     w1 = fma(a[first + BLOCK.f21], u[0], a[first + BLOCK.f22] * u[1])
