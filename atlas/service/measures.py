@@ -177,8 +177,8 @@ def _measure(parts: PartRun[MeasureJob], families: Sequence[str], norm: tuple[tu
     )
 
     def progress() -> Progress:
-        done = stored + parts.cells
-        return Progress(f"measuring: {done} of {plural(cells, 'cell')}", cells=cells, cells_done=done)
+        outcomes = stored + parts.cells
+        return Progress(f"measuring: {outcomes} of {plural(cells, 'cell')}", cells=cells, cells_done=done)
 
     parts.run(jobs, progress)
     many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
