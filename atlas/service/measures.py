@@ -177,8 +177,8 @@ def _measure(parts: PartRun[MeasureJob], families: Sequence[str], norm: tuple[tu
     )
 
     def progress() -> Progress:
-        outcomes = stored + parts.cells
-        return Progress(f"measuring: {outcomes} of {plural(cells, 'cell')}", cells=cells, cells_done=done)
+        solved = stored + parts.cells
+        return Progress(f"measuring: {solved} of {plural(cells, 'cell')}", cells=cells, cells_done=solved)
 
     parts.run(jobs, progress)
     many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
