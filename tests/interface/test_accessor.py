@@ -238,7 +238,7 @@ def test_the_forcing_frequency_has_to_be_known() -> None:
 
 
 def options_of(command: click.Command, *without: str) -> set[str]:
-    return {str(param.name) for param in command.params if param.expose_value} - {"out", *without}
+    return {str(param.name) for param in command.params if param.expose_value} - {"out", "storage_option", *without}
 
 
 @pytest.mark.parametrize(

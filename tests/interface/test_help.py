@@ -120,9 +120,10 @@ def test_an_unknown_command_is_answered_with_the_one_that_is_meant(typed: str, m
 
 IN_PYTHON_ALONE = {
     "at", "attractors", "basin_measures", "boundary", "count_reasons", "curves", "distance_to", "fractions", "is_",
-    "labels", "open", "per_unit_time", "plot_side_by_side", "solve_tile", "to_html", "trace", "where_regime",
+    "labels", "open", "per_unit_time", "plot_side_by_side", "solve_tile", "time_history", "to_html", "where_regime",
 }  # fmt: skip
-"""Answers that are arrays, and parts of what one command prints: ``atlas query`` has shares, reasons and cells."""
+"""Answers that are arrays, and parts of what one command prints: ``atlas query`` has shares, reasons and cells, and
+``atlas trace`` prints a time history."""
 
 
 def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
