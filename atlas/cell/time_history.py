@@ -66,7 +66,7 @@ def time_history(
     >>> import atlas
     >>> history = atlas.time_history(omega=4.0, b=0.1, periods=1, events_only=True)
     >>> history["event"].tolist()
-    ['impact on stop, upper', 'impact on stop, lower']
+    ['impact on stop, lower', 'impact on stop, upper']
     """
     import pandas as pd
 
