@@ -359,7 +359,7 @@ class Dispatcher(Generic[J, R]):
                 self._unfetched.append(future)
             elif future.status == "error":
                 yield future, outcome_of_error(future.exception())
-            elif future in self._attempts and future.status == "pending":
+            elif future in self._attempts and future.status in ("lost", "pending"):
                 self._completed.add(future)  # its result was lost
             elif future in self._attempts:
                 raise RunError(CLUSTER_LOST_MESSAGE)

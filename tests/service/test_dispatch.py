@@ -18,7 +18,7 @@ from atlas.service import dispatch
 from atlas.service.dispatch import Dispatcher, WorkerStatus
 from atlas.service.summary import TileFailure
 from atlas.service.timing import Timing
-from tests.fake_cluster import Cluster, Numbered, all_outcomes
+from tests.fake_cluster import Cluster, Numbered, PretendedFuture, all_outcomes
 
 WORKERS = [f"tcp://10.0.{k // 250}.{k % 250}:1" for k in range(1000)]
 BAD = WORKERS[0]
@@ -172,6 +172,34 @@ def test_the_only_worker_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert indices(found) == [(k,) for k in range(20)]
     assert not seen[-1].excluded
     assert cluster.attempts.total() == 20
+
+
+class LosingCluster(Cluster):
+    """A cluster on which the worker of one job dies after the job: Dask does the job again, under the same future."""
+
+    lost_status = ""
+
+    def next_batch(self, block: bool) -> list[PretendedFuture]:
+        batch = super().next_batch(block)
+        for future in batch:
+            if future.job.index == (5,) and not self.requests["lost"]:
+                self.requests["lost"] += 1
+                future.status = self.lost_status
+                queue = self._queues[future.worker]
+                queue.append(future)
+                if len(queue) == 1:
+                    self._begin(future)
+        return batch
+
+
+@pytest.mark.parametrize("status", ["lost", "pending"])
+def test_a_result_that_is_lost_with_its_worker_is_no_lost_cluster(status: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask calls the future lost, and pending once the job is to be repeated."""
+    cluster = LosingCluster(WORKERS[:4], three_seconds)
+    cluster.lost_status = status
+    found, _ = all_outcomes(cluster, 20, monkeypatch)
+    assert indices(found) == [(k,) for k in range(20)]
+    assert (cluster.requests["lost"], cluster.requests["submit"]) == (1, 20)
 
 
 # On Dask
