@@ -19,7 +19,7 @@ from atlas.cli.output import to_json
 from atlas.service.summary import RunSummary
 from atlas.service.timing import TIMING, Timing
 from tests.paths import ROOT
-from tests.support.faults import ATLAS
+from tests.support.faults import ATLAS, environment
 from workers import Settings
 from workers.model.system import find_system, system_names
 from workers.results import PERIODS_SPENT, REASONS
@@ -350,10 +350,11 @@ main(sys.argv[1:])
 
 @pytest.mark.slow
 def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> None:
-    """SIGINT to the whole process group, as a terminal sends it, while worker processes solve."""
+    """SIGINT to the whole process group, as a terminal sends it, while worker processes solve tiles of 0.3 s."""
     (tmp_path / "spec.toml").write_text(SPEC)
     args = ["run", "spec.toml", "-o", "out.zarr", "--workers", "2"]
-    options = {"cwd": tmp_path, "env": os.environ | {"PYTHONPATH": str(ROOT)}, "capture_output": True, "text": True}
+    slow = environment(tmp_path / "faults", {"*": ["slow"]})
+    options = {"cwd": tmp_path, "env": slow, "capture_output": True, "text": True}
     first = subprocess.run(
         [sys.executable, "-c", INTERRUPTED, *args], start_new_session=True, timeout=300, check=False, **options
     )
@@ -362,7 +363,7 @@ def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> No
     assert first.stderr.splitlines()[-1].endswith("rerun the same command to resume")
     chunks = tmp_path / "out.zarr" / "regime" / "c"
     kept = {path: path.stat().st_mtime_ns for path in chunks.rglob("*") if path.name.isdigit() and path.is_file()}
-    assert 3 <= len(kept) <= 12  # on a busy machine tiles in flight may be all that was left
+    assert 3 <= len(kept) < 12
 
     second = subprocess.run([*ATLAS, *args], timeout=300, check=False, **options)
     assert second.returncode == 0
