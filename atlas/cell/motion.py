@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from workers.history import Trace, trace, within_periods
-from workers.model.mode_table import ContactElements, elements_of
+from workers.model.hybrid_machines import HybridMachines
+from workers.model.mode_table import elements_of
 from workers.model.oscillator import Array, Oscillator
 from workers.model.system import System
 
@@ -18,15 +19,13 @@ from workers.model.system import System
 class CellMotion:
     """The motion of one machine from its initial state on, with its state at any time.
 
-    values      parameters as arrays (1,) of one machine
-    oscillator  the machine in a batch
-    elements    its contacts and friction
+    machines    numbers of the machine, in a batch
+    oscillator  the machine in the form for kernels, in a batch
     followed    section states and impacts
     """
 
-    values: Mapping[str, Array]
+    machines: HybridMachines
     oscillator: Oscillator
-    elements: ContactElements
     followed: Trace
 
     @classmethod
@@ -41,7 +40,7 @@ class CellMotion:
             raise InputError(f"this cell cannot be followed: {error}") from None
         values = system.with_cycle({name: np.array([value]) for name, value in parameters.items()}, cycle)
         oscillator, _ = system.build_many(values)
-        return cls(values, oscillator, elements_of(system.definition.hybrid(values)), followed)
+        return cls(system.definition.hybrid(values), oscillator, followed)
 
     @property
     def period(self) -> float:
@@ -62,14 +61,14 @@ class CellMotion:
 
         A velocity jumps at an impact on a rigid stop, and not where a chatter ends.
         """
-        contacts = np.abs(impacts[:, 1]).astype(np.int64) - 1
-        rigid = (impacts[:, 2] > 0.0) & (self.elements.soft[0, contacts] == 0.0)
+        elements, contacts = elements_of(self.machines), np.abs(impacts[:, 1]).astype(np.int64) - 1
+        rigid = (impacts[:, 2] > 0.0) & (elements.soft[0, contacts] == 0.0)
         before = self.states_at(impacts[:, 0])
         after = before.copy()
         for i in np.flatnonzero(rigid).tolist():
             c, velocity = contacts[i], np.sign(impacts[i, 1]) * impacts[i, 2]
-            row, kick, R = self.elements.row[0, c], self.elements.kick[0, c], self.elements.R[0, c]
-            stop, state = self.elements.stops[0, c, int(velocity > 0.0)], before[i].copy()
+            row, kick, R = elements.row[0, c], elements.kick[0, c], elements.R[0, c]
+            stop, state = elements.stops[0, c, int(velocity > 0.0)], before[i].copy()
             before[i], after[i] = (_at_stop(row, kick, stop, state, speed) for speed in (velocity, -R * velocity))
         return before, after, rigid
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from atlas.argument_checks import is_integer, validate_flag
 from atlas.cell.motion import CellMotion
+from atlas.cell.trajectory import HISTORY_SAMPLES
 from atlas.errors import InputError, brief_repr
 from atlas.spec.spec import given_values, validate_parameters
 from atlas.spec.system import parse_system
@@ -21,9 +22,6 @@ from workers.orbit.recorded_legs import legs_of_periods, mode_code_of_state
 if TYPE_CHECKING:
     import pandas as pd
 
-SAMPLES = 100
-"""Default number of instants per period."""
-
 NEXT = 1e-9
 """Share of a period after an event at which its mode holds: times of two kernels differ by rounding."""
 
@@ -34,7 +32,7 @@ def time_history(
     *,
     periods: int,
     transient: int = 0,
-    samples: int = SAMPLES,
+    samples: int = HISTORY_SAMPLES,
     times: Sequence[float] | None = None,
     events_only: bool = False,
     system: str | Mapping[str, Any] | System = DEFAULT,
@@ -57,11 +55,12 @@ def time_history(
     NAME_force    force of a soft or rigid contact, or of friction, along its row; 0 while it is open. An impact on a
                   rigid stop is an impulse, and no force
     event         name of the event; empty at other instants
-    speed         speed of approach just before an impact; NaN in other rows
+    impact_speed  speed of approach just before an impact; NaN in other rows
 
     An impact on a rigid stop has two rows: the state just before, whose event is empty, and just after. With
     ``events_only`` the second remains. Times of impacts are those of ``atlas.trace``. Raise InputError for a parameter
-    that does not exist or is out of range, for instants out of range, and for a motion that cannot be followed.
+    that does not exist or is out of range, for instants out of range, for a motion that cannot be followed, and for a
+    coordinate with the name of another column.
 
     >>> import atlas
     >>> history = atlas.time_history(omega=4.0, b=0.1, periods=1, events_only=True)
@@ -76,6 +75,9 @@ def time_history(
     for name, count, low in (("periods", periods, 1), ("transient", transient, 0), ("samples", samples, 1)):
         if not is_integer(count) or count < low:
             raise InputError(f"{name}: found {brief_repr(count)}, must be a whole number, {low} or more")
+    columns = {"time", "event", "impact_speed", *_force_columns(record)}
+    if clash := [name for name in record.states if name in columns]:
+        raise InputError(f"{record.name}: the coordinate {clash[0]!r} has the name of a column of time histories")
     motion = CellMotion.follow(record, parameters, transient + periods, None)
     first, last = float(motion.followed.times[transient]), float(motion.followed.times[-1])
     instants = _instants(times, first, last, samples * periods)
@@ -83,13 +85,13 @@ def time_history(
     impacts = motion.followed.impacts
     impacts = impacts[(impacts[:, 0] >= first) & (impacts[:, 2] > 0.0)]
     before, after, rigid = motion.states_at_impacts(impacts)
-    others = np.array([time for time, _ in modes.events])
+    changes = np.array([time for time, _ in modes.events])
 
     def part(times: Array, states: Array, since: float, event: Any = "", speed: Any = np.nan) -> "pd.DataFrame":
         """Return rows of one kind, whose modes are those at this time after each row's own, in periods."""
         columns = {"time": times} | dict(zip(record.states, states.T, strict=True))
         columns |= modes.forces(times, states, times + since * motion.period)
-        return pd.DataFrame(columns | {"event": event, "speed": speed})
+        return pd.DataFrame(columns | {"event": event, "impact_speed": speed})
 
     names = [f"impact on {modes.stop(side)}" for side in impacts[:, 1]]
     table = pd.concat(
@@ -97,10 +99,16 @@ def time_history(
             part(instants, motion.states_at(instants), 0.0),
             part(impacts[rigid, 0], before[rigid], -NEXT),
             part(impacts[:, 0], after, NEXT, names, impacts[:, 2]),
-            part(others, motion.states_at(others), NEXT, [event for _, event in modes.events]),
+            part(changes, motion.states_at(changes), NEXT, [event for _, event in modes.events]),
         ]
     ).sort_values("time", kind="stable", ignore_index=True)
     return table[table["event"] != ""].reset_index(drop=True) if events_only else table
+
+
+def _force_columns(system: System) -> list[str]:
+    """Return the names of the columns of forces: contacts first, then friction."""
+    definition = system.definition
+    return [f"{element.name}_force" for elements in (definition.contacts, definition.friction) for element in elements]
 
 
 def _instants(times: Sequence[float] | None, first: float, last: float, count: int) -> Array:
@@ -125,37 +133,40 @@ class _ModeHistory:
     system    the system
     machine   the machine of the cell, with all modes of the motion
     starts    (L,) time from which each mode holds
-    codes     code of each mode
-    slots     (L,) slot of each mode in the machine's table
+    numbers   (L,) number of each mode, see ModeCode
     events    time and name of each event
     """
 
     system: System
     machine: Oscillator
     starts: Array
-    codes: list[ModeCode]
-    slots: Rows
+    numbers: Rows
     events: list[tuple[float, str]]
 
     @classmethod
     def of(cls, system: System, motion: CellMotion, transient: int) -> Self:
         """Return the modes of a motion after this number of periods, each period from its own section state."""
-        machine, _ = build_hybrid(system.definition.hybrid(motion.values))
-        machines, starts, codes, slots = machine.table.machines, list[float](), list[ModeCode](), list[int]()
+        machine, _ = build_hybrid(motion.machines)
+        starts, numbers = list[Array](), list[Array]()
         for k in range(transient, len(motion.followed.times) - 1):
             state = motion.followed.states[k]
-            number = mode_code_of_state(machine.table.elements, state).number_of(*machines.segments)
+            number = mode_code_of_state(machine.table.elements, state).number_of(*motion.machines.segments)
             try:
                 legs = next(legs_of_periods(machine, state, number))
             except ValueError as error:
                 raise InputError(f"this cell cannot be followed: {error}") from None
-            starts += (motion.followed.times[k] + legs[:, LEG.start] + legs[:, LEG.chatter]).tolist()
-            codes += [code_of(int(leg[LEG.number]), *machines.sizes[1:], *machines.segments) for leg in legs]
-            slots += legs[:, LEG.mode].astype(int).tolist()
-        history = cls(system, machine, np.array(starts), codes, np.array(slots), [])
-        for time, old, new in zip(starts[1:], codes, codes[1:], strict=False):
-            history.events.extend((time, event) for event in history._events(old, new))
+            starts.append(motion.followed.times[k] + legs[:, LEG.start] + legs[:, LEG.chatter])
+            numbers.append(legs[:, LEG.number].astype(np.int64))
+        history = cls(system, machine, np.concatenate(starts), np.concatenate(numbers), [])
+        for k in np.flatnonzero(np.diff(history.numbers)).tolist():
+            old, new = map(history._code, history.numbers[k : k + 2].tolist())
+            history.events.extend((float(history.starts[k + 1]), event) for event in history._events(old, new))
         return history
+
+    def _code(self, number: int) -> ModeCode:
+        """Return the mode with this number."""
+        machines = self.machine.table.machines
+        return code_of(number, *machines.sizes[1:], *machines.segments)
 
     def stop(self, side: float) -> str:
         """Return the name of a stop, by +-(1 + its contact): ``stop``, or ``stop, upper`` if its contact has two."""
@@ -183,39 +194,40 @@ class _ModeHistory:
         times, states  (N,) and (N, 2n) instants and states
         at             (N,) times whose modes hold
         """
-        machines, pieces, n = self.machine.table.machines, self.machine.table.pieces, states.shape[1] // 2
-        legs = np.maximum(np.searchsorted(self.starts, at, side="right") - 1, 0)
+        table, n = self.machine.table, states.shape[1] // 2
+        machines, pieces = table.machines, table.pieces
+        numbers = self.numbers[np.maximum(np.searchsorted(self.starts, at, side="right") - 1, 0)]
         contacts, frictions = self.system.definition.contacts, self.system.definition.friction
-        names = [*(contact.name for contact in contacts), *(friction.name for friction in frictions)]
-        columns = {f"{name}_force": np.zeros(len(times)) for name in names}
-        turns = np.arange(1.0, machines.force_sin.shape[2] + 1.0) * (
-            machines.tau[0] + machines.omega[0] * times[:, None]
-        )
-        waves, ones = np.stack([np.sin(turns), np.cos(turns)], axis=-1), np.ones((len(times), 1))
-
-        def signal(g: int, rows: Rows) -> Array:
-            """Return the values of signal g, which is a force while the contact or friction sticks."""
-            slots = self.slots[legs[rows]]
-            full = np.concatenate([states[rows], ones[rows]], axis=1)
-            forced = np.sum(pieces.direct[0, slots, g] * waves[rows], axis=(1, 2))
-            return np.asarray(np.vecdot(pieces.rows[0, slots, g], full) + forced)
-
-        for leg_of in {self.codes[leg] for leg in legs.tolist()}:
-            rows = np.flatnonzero([self.codes[leg] == leg_of for leg in legs.tolist()])
+        columns = {name: np.zeros(len(times)) for name in _force_columns(self.system)}
+        orders = np.arange(1.0, machines.force_sin.shape[2] + 1.0)
+        turns = orders * (machines.tau[0] + machines.omega[0] * times[:, None])
+        waves = np.stack([np.sin(turns), np.cos(turns)], axis=-1)
+        full = np.concatenate([states, np.ones((len(times), 1))], axis=1)
+        for number in np.unique(numbers).tolist():
+            rows, slot, code = (
+                np.flatnonzero(numbers == number),
+                int(np.argmax(table.codes[0] == number)),
+                self._code(number),
+            )
             x, v = states[rows, :n], states[rows, n:]
-            for c, (contact, state) in enumerate(zip(contacts, leg_of.contacts, strict=False)):
+            # of each signal; that of a contact or friction which sticks is its force
+            signals = full[rows] @ pieces.rows[0, slot].T + np.tensordot(
+                waves[rows], pieces.direct[0, slot], ((1, 2), (1, 2))
+            )
+            for c, (contact, state) in enumerate(zip(contacts, code.contacts, strict=False)):
                 side = int(np.sign(state))
                 if state % 2 and contact.rigid:
-                    columns[f"{contact.name}_force"][rows] = signal(SIGNALS * c, rows)
+                    columns[f"{contact.name}_force"][rows] = signals[:, SIGNALS * c]
                 elif state % 2:
-                    stiffness, damping, preload = pushing(machines, leg_of.phase, c, state)
+                    stiffness, damping, preload = pushing(machines, code.phase, c, state)
                     depth = side * (x @ machines.row[0, c] - machines.stops[0, c, int(side > 0)])
                     push = preload + stiffness * depth + damping * side * (v @ machines.row[0, c])
                     columns[f"{contact.name}_force"][rows] = -side * push
-            for f, (friction, sign) in enumerate(zip(frictions, leg_of.slips, strict=True)):
-                level, slope = resisting(machines, leg_of.phase, f, sign) if sign else (np.zeros(1), np.zeros(1))
-                sliding = v @ machines.friction_rows[0, f] - machines.belt[0, f]
-                resistance = -np.sign(sign) * level - slope * sliding
-                force = resistance if sign else signal(SIGNALS * machines.sizes[1] + f, rows)
+            for f, (friction, sign) in enumerate(zip(frictions, code.slips, strict=True)):
+                force = signals[:, SIGNALS * machines.sizes[1] + f]
+                if sign:
+                    level, slope = resisting(machines, code.phase, f, sign)
+                    sliding = v @ machines.friction_rows[0, f] - machines.belt[0, f]
+                    force = -np.sign(sign) * level - slope * sliding
                 columns[f"{friction.name}_force"][rows] = force
         return columns

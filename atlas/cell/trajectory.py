@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 
 SAMPLES, OF_HARMONIC = 400, 50
 """Number of points of the path per forcing period, and minimum per period of the fastest harmonic of the force."""
+HISTORY_SAMPLES = 100
+"""Default number of instants per period in the table of a time history."""
 OPEN_PATH = 40
 """Number of forcing periods of the path of a motion that does not close; a closed path is shown once around."""
 MAX_PATH_PERIODS = 200

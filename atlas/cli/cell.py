@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from atlas.cell.trajectory import HISTORY_SAMPLES
 from atlas.cli.options import (
     Numbers,
     at_option,
@@ -31,8 +32,7 @@ from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.laws import law_lines, uses_of_cell
 from atlas.spec.system import parse_system
-from atlas.task.compile import ATTRACTORS, PATHS, kernels_for
-from workers import Settings
+from atlas.task.compile import ATTRACTORS, ORBITS, PATHS, kernels_for
 from workers.attractors.initial_states import AttractorSettings
 
 _COUNT = click.IntRange(min=1)
@@ -130,15 +130,9 @@ def portrait(
 @at_option
 @select_option
 @system_option
-@click.option(
-    "--periods", type=click.IntRange(min=1), default=1, show_default=True, help="Number of periods of the force."
-)
-@click.option(
-    "--transient", type=click.IntRange(min=0), default=0, show_default=True, help="Number of periods before, left out."
-)
-@click.option(
-    "--samples", type=click.IntRange(min=1), default=100, show_default=True, help="Number of instants per period."
-)
+@click.option("--periods", type=_COUNT, default=1, show_default=True, help="Number of periods of the force.")
+@click.option("--transient", type=click.IntRange(0), default=0, show_default=True, help="Number of periods left out.")
+@click.option("--samples", type=_COUNT, default=HISTORY_SAMPLES, show_default=True, help="Instants per period.")
 @click.option("--time", "times", type=float, multiple=True, help="An instant in place of --samples; repeatable.")
 @click.option("--events", "events_only", is_flag=True, help="Events alone: impacts, sticking, slips.")
 @out_option("The table: .csv or .nc; by default it is printed as CSV.")
@@ -168,7 +162,7 @@ def trace(
         if store is not None:
             cell = read_cell_spec(open_selection(store, select), point)
             record, parameters = cell.system, dict(cell.parameters)
-        prepare_kernels(show, *kernels_for(record, PATHS, settings=Settings()))
+        prepare_kernels(show, *kernels_for(record, PATHS, ORBITS))  # of orbits: the motion from event to event
         show(Progress("following the motion"))
         table = time_history(parameters, system=record, times=times or None, **options)
         if out is not None:

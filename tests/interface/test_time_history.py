@@ -95,7 +95,7 @@ def test_the_command_prints_and_writes_the_numbers_of_the_function(tmp_path: Pat
     assert printed[0] == expected.columns.tolist()
     for name, *values in zip(*printed, strict=True):
         found = values if name == "event" else [float(value) for value in values]
-        assert np.array_equal(found, expected[name], equal_nan=name == "speed")
+        assert np.array_equal(found, expected[name], equal_nan=name == "impact_speed")
     assert CliRunner().invoke(main, [*line, "-o", str(tmp_path / "a.nc")]).exit_code == 0
     with xr.open_dataset(tmp_path / "a.nc") as ds:
         assert ds["event"].astype(str).values.tolist() == expected["event"].tolist()
@@ -115,3 +115,13 @@ def test_the_command_prints_and_writes_the_numbers_of_the_function(tmp_path: Pat
 def test_arguments_out_of_range_are_refused(changes: dict[str, object], says: str) -> None:
     with pytest.raises(InputError, match=says):
         atlas.time_history(**{"omega": 4.0, "periods": 1} | changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["time", "impact_speed", "wall_force"])
+def test_a_coordinate_with_the_name_of_another_column_is_refused(name: str) -> None:
+    wall = {"name": "wall", "gap": [1.0], "upper": 1.0, "restitution": 0.5}
+    parameters = {key: {"default": 1.0} for key in ("omega", name, "v")}
+    system = {"name": "mine", "coordinates": [name], "velocities": ["v"], "mass": [[1.0]], "stiffness": [[1.0]]}
+    system |= {"force": [1.0], "contacts": [wall], "parameters": parameters}
+    with pytest.raises(InputError, match=f"mine: the coordinate '{name}' has the name of a column of time histories"):
+        atlas.time_history(periods=1, system=system)

@@ -32,7 +32,9 @@ from workers.attractors.initial_states import AttractorSettings
 from workers.attractors.matching import orbits_reached
 from workers.continuation import admissibility, branch, curve, legs, shooting
 from workers.kernel import cache, cell_loops, jit
+from workers.kernel.hybrid import motion
 from workers.kernel.lanes import run
+from workers.model.system import find_system
 from workers.orbit import newton
 from workers.orbit.map import iterate
 
@@ -272,4 +274,15 @@ def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
     run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))
     curve(bouncing_ball(("A", "R")), run.events[0], np.array([float(run.events[0].point.values[0]), 0.5]), WINDOW)
     branch(impact_pair(("alpha",), R=0.5), pair_orbit(0.2, 0.5), 0.2, (0.05, 1.0))
+    assert {kernel: list(kernel.python_kernel.signatures) for kernel in kernels} == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bouncing-ball", "capsule"])
+def test_after_the_warm_up_no_time_history_compiles_anything(name: str) -> None:
+    warm.warm_up(*warm.kernels_for(find_system(name), warm.PATHS, warm.ORBITS))
+    modules = (motion, cell_loops, run)
+    kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
+    before = {kernel: list(kernel.python_kernel.signatures) for kernel in kernels}
+    atlas.time_history(system=name, periods=3, transient=2)
     assert {kernel: list(kernel.python_kernel.signatures) for kernel in kernels} == before
