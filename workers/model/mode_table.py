@@ -153,6 +153,9 @@ def no_table(N: int) -> ModeTable:
 MODE_TABLE_SIZE = 64
 """Maximum number of modes in the table of a machine; each segment of its laws adds two."""
 
+MODES_OF_PHASE = 4
+"""Maximum number of modes for each phase, if there are so many phases that this is more."""
+
 
 @np.errstate(all="ignore")
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
@@ -205,7 +208,8 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     pushes = np.any(np.isfinite(elements.depths) & np.isfinite(machines.stops)[..., None], axis=0)  # (C, 2, S)
     sides = np.sum(pushes, axis=(1, 2)) * np.where(machines.by_force.any(axis=0), 2, 1)
     slides = np.isfinite(elements.speeds).any(axis=0).sum(axis=1)
-    most = MODE_TABLE_SIZE + 2 * int(np.sum(sides) + np.sum(slides)) if machines.segments != (1, 1) else MODE_TABLE_SIZE
+    most = max(MODE_TABLE_SIZE, MODES_OF_PHASE * P)
+    most += 2 * int(np.sum(sides) + np.sum(slides)) if machines.segments != (1, 1) else 0
     room = min(most, P * math.prod([*(1 + 2 * slides).tolist(), *(1 + sides).tolist()]))  # all modes, or ``most``
     table = ModeTable(
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
