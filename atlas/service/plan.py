@@ -14,6 +14,7 @@ from atlas.formatting import byte_size, count_of, duration, html_table, plural, 
 from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import OverviewLevels
 from atlas.platform import processors
+from atlas.spec.laws import check_steps
 from atlas.spec.spec import MAX_AXES, Spec
 from atlas.spec.system import unused_lines
 from atlas.store.object_backend import StoreBackend
@@ -220,10 +221,12 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
 def plan_of_run(spec: Spec, backend: StoreBackend, handle: AtlasStore | None, workers: int, tile: Index | None) -> Plan:
     """Return the plan of a run that creates the store of ``backend``, or completes the store of ``handle``.
 
-    Raise InputError if a new store cannot be created, if its disk is too small, or if ``tile`` is not the index of a
-    tile.
+    Raise InputError if a new store cannot be created, if its disk is too small, if smooth coefficients have too few
+    steps, or if ``tile`` is not the index of a tile.
     """
     plan = make_plan(spec, workers, None if handle is None else handle.tile)
+    if handle is None:
+        check_steps(spec)
     if handle is None and backend.local is not None:
         check_free_space(plan, backend.local)
     grid = plan.tiling.grid

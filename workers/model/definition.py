@@ -112,23 +112,22 @@ class Definition:
             self._force(named, replace_first_harmonic(self.harmonics, phase.force, phase.cosine)) for phase in phases
         ]
 
-        def table(entries: Any, *shape: int, at: Mapping[str, Array] = named) -> Array:
-            return evaluate_entries(entries, at).reshape(named[OMEGA].size, *shape)
+        def table(entries: list[Any], *shape: int) -> Array:
+            return evaluate_entries(entries, named).reshape(named[OMEGA].size, *shape)
 
         C, F, N = len(contacts), len(friction), named[OMEGA].size
         starts = table([*(phase.start for phase in phases), 1.0], len(phases) + 1)
         moments = [(phase, named) for phase in phases]
         if self.within is not None:
-            moments = [
-                (phase, self._with_let(named | {PHASE: angle}))
-                for p, phase in enumerate(phases)
-                for angle in gauss_angles(starts[:, p : p + 2], self.pieces // 2)
-            ]
+            many = {name: np.tile(value, self.pieces) for name, value in named.items()}
+            angles = [gauss_angles(starts[:, p : p + 2], self.pieces // 2) for p in range(len(phases))]
+            moments = [(phase, self._with_let(many | {PHASE: of})) for phase, of in zip(phases, angles, strict=True)]
             starts = starts_of_halves(starts, self.pieces // 2)
 
         def of_phases(entries: Callable[[Phase], Any], *shape: int, odd: bool = False) -> Array:
-            fields = [table(entries(phase), *shape, at=at) for phase, at in moments]
-            field = np.stack([symmetrised(of) if shape == (n, n) else of for of in fields], axis=1)
+            fields = [evaluate_entries(entries(phase), at).reshape(-1, *shape) for phase, at in moments]
+            fields = [symmetrised(field) if shape == (n, n) else field for field in fields]
+            field = np.concatenate([field.reshape(-1, N, *shape) for field in fields]).swapaxes(0, 1)
             return field if self.within is None else of_halves(field, odd)
 
         pads = of_phases(lambda phase: tuple(pad(contact, phase.contacts) for contact in contacts), C, 3)

@@ -184,7 +184,8 @@ def _read_bound(table: Mapping[str, Any], parameters: Collection[str]) -> tuple[
     within, steps = read_number("system.within", table["within"]), table.get("steps")
     if within <= 0.0:
         raise fault("system.within", within, "must be above 0, the largest error of a period as a share")
-    most = SMOOTH_PHASES // (2 * max(1, len(table.get("phases", []))))
+    phases = table.get("phases")
+    most = SMOOTH_PHASES // (2 * len(phases) if isinstance(phases, list) and phases else 2)
     if steps is not None and (type(steps) is not int or steps % 2 or not STEPS <= steps <= most):
         raise fault("system.steps", steps, f"must be an even number from {STEPS} to {most}, or left out")
     if PHASE in parameters:

@@ -7,10 +7,10 @@ are phases with
 
 the commutator-free Magnus rule of fourth order, CF4:2 of Blanes & Moan, Appl. Numer. Math. 56 (2006) 1519. Mean and
 first moment over the step are those of the coefficients, so a force between them may stay exact. Within a step the
-flow is of second order only, which times of events show.
+flow is of second order only, which speeds at stops show.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -32,11 +32,14 @@ TERMS, SMALL = 12, 0.25
 """Number of terms of the exponential series, and largest norm of a matrix in it."""
 
 
-def gauss_angles(starts: Array, steps: int) -> Iterator[Array]:
-    """Yield the phase (N,) at each Gauss point of the steps of a phase with starts (N, 2), its own and the next."""
-    for j in range(steps):
-        for point in (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0):
-            yield 2.0 * np.pi * (starts[:, 0] + (starts[:, 1] - starts[:, 0]) * ((j + point) / steps))
+def gauss_angles(starts: Array, steps: int) -> Array:
+    """Return the phase (2 steps * N,) at the Gauss points of the steps of a phase, in order, each for all N machines.
+
+    ``starts`` (N, 2) are the starts of this phase and of the next.
+    """
+    inside = 0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0
+    shares = (np.arange(steps)[:, None] + inside).ravel() / steps
+    return np.asarray(2.0 * np.pi * (starts[:, 0] + shares[:, None] * (starts[:, 1] - starts[:, 0])).ravel())
 
 
 def of_halves(field: Array, odd: bool = False) -> Array:
@@ -85,11 +88,11 @@ def errors(make: Callable[[int], HybridMachines], steps: int) -> Array:
     """Return the error (N,) of the linear machines of ``make`` with this number of steps in each phase.
 
     The linear machines are those with all contacts open, and with all soft contacts closed while friction slides. The
-    error is the largest of two: that of the map of a period, as a share of its largest entry; and that of the times at
-    which motions from unit displacements and velocities, or by the load from rest, pass a stop of a contact at their
-    greatest speed, as a share of the period.
+    error is the largest of three: that of the map of a period, as a share of its largest entry; and, of motions from
+    unit displacements and velocities, or by the load from rest, those with which they pass a stop at their greatest
+    speed: of the time, as a share of the period, and of the speed, as a share of it.
     """
-    finer = max(FINER, -(-FINEST // steps))
+    finer = max(FINER, 2 * -(-FINEST // (2 * steps)))
     few, many = make(steps), make(finer * steps)
     n, stiffness = few.load.shape[2], np.abs(many.stiffness).max(axis=1)
     inverse_mass = apply_stacked(np.linalg.inv, few.mass.shape, few.mass)
@@ -101,12 +104,12 @@ def errors(make: Callable[[int], HybridMachines], steps: int) -> Array:
         for columns in (slice(0, 2 * n), slice(2 * n, 2 * n + 1)):
             size, change = (np.abs(flow[:, -1, : 2 * n, columns]).max(axis=(1, 2)) for flow in (true, off))
             worst = np.maximum(worst, np.where(size > 0.0, change / size, change))
-        moved, speed = (
-            np.abs(few.row[:, None] @ flow[:, :, part, :]).max(axis=1)
-            for flow, part in ((off, slice(0, n)), (true, slice(n, 2 * n)))
+        moved, slower, speed = (
+            np.abs(few.row[:, None] @ flow[:, :, part]).max(axis=1)
+            for flow, part in ((off, slice(0, n)), (off, slice(n, 2 * n)), (true, slice(n, 2 * n)))
         )
-        late = np.where(speed > 0.0, moved / (speed * (2.0 * np.pi * rate / few.omega)[:, None, None]), 0.0)
-        worst = np.maximum(worst, late.max(axis=(1, 2), initial=0.0))
+        passing = np.maximum(moved * (few.omega / (2.0 * np.pi * rate))[:, None, None], slower)
+        worst = np.maximum(worst, np.where(speed > 0.0, passing / speed, 0.0).max(axis=(1, 2), initial=0.0))
     return worst
 
 

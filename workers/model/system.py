@@ -143,11 +143,14 @@ class System:
         steps = fewest_steps(lambda steps: replace(definition, steps=steps).hybrid(values), phases, within)
         return replace(self, definition=replace(definition, steps=steps))
 
-    @property
-    def step_error(self) -> float:
-        """The largest error by the steps in the place of smooth coefficients where ``with_steps`` bounds it."""
-        definition, values = self.definition, usual_values(self.parameters, self.axes)
-        return float(np.nanmax(errors(lambda n: replace(definition, steps=n).hybrid(values), definition.pieces // 2)))
+    def step_errors(self, values: Mapping[str, Array] | None = None) -> Array:
+        """Return the error (N,) by the steps in the place of smooth coefficients, see ``smooth.errors``.
+
+        The machines are those at values (N,) of each parameter, by default those of ``with_steps``.
+        """
+        definition = self.definition
+        values = usual_values(self.parameters, self.axes) if values is None else values
+        return errors(lambda steps: replace(definition, steps=steps).hybrid(values), definition.pieces // 2)
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
