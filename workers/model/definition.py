@@ -125,9 +125,9 @@ class Definition:
             starts = starts_of_halves(starts, self.pieces // 2)
 
         def of_phases(entries: Callable[[Phase], Any], *shape: int, odd: bool = False) -> Array:
-            fields = [evaluate_entries(entries(phase), at).reshape(-1, *shape) for phase, at in moments]
+            fields = [evaluate_entries(entries(phase), at).reshape(at[OMEGA].size, *shape) for phase, at in moments]
             fields = [symmetrised(field) if shape == (n, n) else field for field in fields]
-            field = np.concatenate([field.reshape(-1, N, *shape) for field in fields]).swapaxes(0, 1)
+            field = np.concatenate([field.reshape(self.pieces, N, *shape) for field in fields]).swapaxes(0, 1)
             return field if self.within is None else of_halves(field, odd)
 
         pads = of_phases(lambda phase: tuple(pad(contact, phase.contacts) for contact in contacts), C, 3)
