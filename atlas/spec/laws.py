@@ -113,11 +113,11 @@ def check_steps(spec: Spec) -> None:
         grids[name] = np.asarray(column)[np.linspace(0, len(column) - 1, ROWS).round().astype(int)]
     count = len(next(iter(grids.values())))
     values = {name: np.full(count, number, dtype=np.float64) for name, number in spec.parameters.items()}
-    found = system.step_errors(values | grids)
-    k = int(np.argmax(np.where(np.isfinite(found), found, 0.0)))
-    if found[k] > within:
+    errors = system.step_errors(values | grids)
+    k = int(np.argmax(np.where(np.isfinite(errors), errors, 0.0)))
+    if errors[k] > within:
         at = ", ".join(f"{name} = {column[k]:.6g}" for name, column in grids.items())
         raise InputError(
-            f"system.within: found {within:g}, but {system.definition.pieces // 2} steps are off by {found[k]:.2g} at "
+            f"system.within: found {within:g}, but {system.definition.pieces // 2} steps are off by {errors[k]:.2g} at "
             f"{at}; widen the usual axes of the system, system.axes, to these cells, or give more steps"
         )

@@ -71,8 +71,8 @@ def fewest_steps(make: Callable[[int], HybridMachines], phases: int, within: flo
     """
     worst, steps = np.nan, STEPS
     for steps in range(STEPS, SMOOTH_PHASES // (2 * phases) + 1, 2):
-        found = errors(make, steps)
-        worst = float(np.nanmax(found)) if np.isfinite(found[0]) else np.nan
+        every = errors(make, steps)
+        worst = float(np.nanmax(every)) if np.isfinite(every[0]) else np.nan
         if worst <= within:
             return steps
     if np.isnan(worst):
@@ -104,11 +104,11 @@ def errors(make: Callable[[int], HybridMachines], steps: int) -> Array:
         for columns in (slice(0, 2 * n), slice(2 * n, 2 * n + 1)):
             size, change = (np.abs(flow[:, -1, : 2 * n, columns]).max(axis=(1, 2)) for flow in (true, off))
             worst = np.maximum(worst, np.where(size > 0.0, change / size, change))
-        moved, slower, speed = (
+        distance, change, speed = (
             np.abs(few.row[:, None] @ flow[:, :, part]).max(axis=1)
             for flow, part in ((off, slice(0, n)), (off, slice(n, 2 * n)), (true, slice(n, 2 * n)))
         )
-        passing = np.maximum(moved * (few.omega / (2.0 * np.pi * rate))[:, None, None], slower)
+        passing = np.maximum(distance * (few.omega / (2.0 * np.pi * rate))[:, None, None], change)
         worst = np.maximum(worst, np.where(speed > 0.0, passing / speed, 0.0).max(axis=(1, 2), initial=0.0))
     return worst
 
