@@ -60,7 +60,13 @@ def solve_lines(
 
 
 def _starts(record: System, line: Mapping[str, Array], last: Array) -> dict[str, Array]:
-    """Return the initial states of the cells at one position of all lines: the newest known states, else their own.
+    """Return the initial state of each cell of a line, by the names of the states.
+
+    A line is the set of cells at one position along the axis of the sweep.
+
+    record  the system
+    line    parameters of the cells (...)
+    last    (..., 2n) newest known state on an attractor; if it is NaN, the cell's own initial state counts
 
     A gap coordinate beyond a stop is moved onto the stop. Without velocity the mass rests there, see
     kernel.coordinates.start_at.

@@ -71,10 +71,11 @@ def solve_parts(
     solve_part: Callable[[dict[str, Array], Results], None],
     attractors: int = 0,
 ) -> Results:
-    """Return the arrays of these variables, solved in blocks of at most ``at_once`` cells.
+    """Return the result arrays of all cells, by name; at most ``at_once`` cells are solved together.
 
     record      the system
     params      as for ``solve_tile``
+    settings    see Settings
     variables   result variables
     at_once     maximum number of cells solved together
     solve_part  function that writes the results of N cells from their parameters (N,)
@@ -92,7 +93,7 @@ def solve_parts(
 
 
 def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Return every parameter, with its default if missing, as arrays of one shape.
+    """Return all parameters of a system as arrays of one shape; missing ones have their defaults.
 
     Raise KeyError for an unknown name, and ValueError for shapes that do not broadcast.
     """
@@ -103,15 +104,17 @@ def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Arra
 
 
 def initial_state(record: System, params: Mapping[str, Array]) -> Array:
-    """Return the physical initial states (..., 2n) that are among the parameters (...)."""
+    """Return the initial states (..., 2n) of cells from their parameters (...): displacements, then velocities."""
     return np.stack([params[name] for name in record.states], axis=-1)
 
 
 def result_arrays(
     variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0, exponents: int = 0
 ) -> Results:
-    """Return arrays of ``count`` cells without a result.
+    """Return the result arrays of ``count`` cells, by name, filled with the values that stand for no result.
 
+    variables   result variables
+    settings    see Settings
     size        number of components of a state
     attractors  number of attractors kept for each cell
     exponents   number of exponents, 0 for ``size``

@@ -1,6 +1,7 @@
-"""Machines whose law changes with phases alone: their map z -> J z + c is affine, known for all states.
+"""Motion without contacts and friction: its map z -> J z + c over a period is affine, and so known for all states.
 
-Other machines are treated so while their motion certainly meets no contact and phases change contacts alone.
+The matrices of such a machine may change with phases, parts of the forcing period. Other machines are treated so while
+their motion certainly meets no contact and phases change contacts alone.
 """
 
 from typing import NamedTuple
@@ -38,7 +39,11 @@ SETTLED_CHANGE, BOUNDED = 1e-12, 1e3
 
 @inline_always
 def meets_nothing(oscillator, h, mode):
-    """Return True if this motion never meets a contact and no phase changes it; True without contacts and friction."""
+    """Return True if a motion certainly never meets a contact, and no phase changes its law of motion.
+
+    h (n, 2) and mode are its block state and the number of its mode. The result is True for a machine without contacts
+    and friction. A phase is a part of the forcing period with constants of its own.
+    """
     table, pieces, n = oscillator.table, oscillator.table.pieces, h.shape[0]
     C, F, P = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.elements.starts.shape[0] - 1
     if F > 0 or C == 0:
@@ -66,7 +71,7 @@ def meets_nothing(oscillator, h, mode):
 
 @kernel
 def contact_free(oscillators, motions, cells):
-    """Return the mask of motions of machines with modes that never meet a contact, see meets_nothing."""
+    """Return the mask of motions of machines with modes that certainly never meet a contact, see meets_nothing."""
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
@@ -84,7 +89,7 @@ class AffineMaps(NamedTuple):
     fixed      (E, n, 2)    fixed points, see newton_step
     logs       (E, 2n)      log moduli of the multipliers, in any order
     errors     (E,)         their rounding errors
-    turns      (E,)         periods simulated for the multipliers; 0 if they are not known
+    turns      (E,)         periods simulated for the multipliers; 0 if the multipliers are not known
     tally      (E, TALLIES) counts over the period, see motion.Motion
     """
 
@@ -99,12 +104,12 @@ class AffineMaps(NamedTuple):
 
 @kernel
 def affine_maps(oscillators, mode, states, cells, cycles):
-    """Return the fields of AffineMaps: the affine map of one period at states (E, n, 2) of these cells.
+    """Return the fields of AffineMaps: the map of one period, and its multipliers, at states (E, n, 2) of these cells.
 
     oscillators, mode  machines, and numbers of the modes of their motions
     states             (E, n, 2) block states
     cells              rows of the machines
-    cycles             maximum number of turns simulated for the multipliers
+    cycles             maximum number of periods simulated for the multipliers
     """
     oscillators = by_reference(oscillators)
     E, n = states.shape[0], states.shape[1]
@@ -127,10 +132,10 @@ def affine_maps(oscillators, mode, states, cells, cycles):
 
 @np.errstate(all="ignore")
 def linear_orbits(oscillators: Oscillator, motions: Motion, cells: Rows, orbits: PeriodicOrbits, spent: Rows) -> Rows:
-    """Return the future of each of these motions, all of them contact_free: STAYS, GROWS or UNKNOWN.
+    """Return the future of each of these motions, which never meet a contact: STAYS, GROWS or UNKNOWN.
 
     Write the limit of the motion, or its own state if it continues forever, and its exponents into the rows of
-    ``orbits``. Write the periods spent into ``spent`` (N,). Multipliers of one to rounding have exponents of 0.
+    ``orbits``. Write the periods spent into ``spent`` (N,). Multipliers of modulus one to rounding have exponents of 0.
     """
     verdicts, starts = np.full(len(cells), UNKNOWN), motions.h[cells]
     contacts = oscillators.table.elements.row.shape[1] > 0
@@ -164,10 +169,13 @@ def linear_orbits(oscillators: Oscillator, motions: Motion, cells: Rows, orbits:
 
 
 def rates_if_undamped(oscillators: Oscillator, r: int, mode: int, logs: Array) -> float:
-    """Write the exact logarithms of multipliers if a block of this mode is not damped and no phase changes the mode.
+    """Write the exact logarithms of the multipliers of an undamped motion to ``logs``, and return their error.
 
-    Return their error, infinity if the logarithms stay unchanged. Two multipliers that meet at 1, as of a free mass,
-    would be known only to the square root of rounding by the map.
+    A motion is undamped if a block, a decoupled equation, of its mode has no damping and no phase changes the mode. For
+    other motions ``logs`` stays unchanged and the error is infinity. Two multipliers that meet at 1, as of a free mass,
+    would be known from the map only to the square root of rounding.
+
+    ``r`` is the row of the machine, ``mode`` the number of the mode.
     """
     table, (slots,) = oscillators.table, np.nonzero(oscillators.table.codes[r] == mode)
     blocks = table.pieces.blocks[r, slots[:1], 0].reshape(-1, len(COLUMN))
@@ -179,10 +187,10 @@ def rates_if_undamped(oscillators: Oscillator, r: int, mode: int, logs: Array) -
 
 
 def where_it_stays(J: Array, base: Array, image: Array, h: Array) -> Array:
-    """Return the limit of block state h (n, 2) under the affine map z -> J z + c that takes ``base`` to ``image``.
+    """Return the limit of block state h (n, 2) if the map z -> J z + c, which takes ``base`` to ``image``, is repeated.
 
-    The largest multiplier is one. Return h itself if the motion continues forever, and NaN if it is unbounded, as for a
-    free mass that moves.
+    The largest modulus of the multipliers of J is one. Return h itself if the motion continues forever, and NaN if it
+    is unbounded, as for a free mass that moves.
     """
     A, start, c = J, h.ravel(), _add_product(image.ravel(), -J, base.ravel())
     before = max(np.max(np.abs(A)), 1.0), np.max(np.abs(c)) + np.max(np.abs(start))
@@ -203,7 +211,10 @@ def where_it_stays(J: Array, base: Array, image: Array, h: Array) -> Array:
 
 
 def _add_product(total: Array, A: Array, B: Array) -> Array:
-    """Return total + A B, added up in the order of the columns of A: BLAS would add up by the kind of processor."""
+    """Return total + A B, added up in the order of the columns of A.
+
+    BLAS would add up in an order that depends on the processor.
+    """
     for column, row in zip(A.T, B, strict=True):
         total = total + np.multiply.outer(column, row)
     return total

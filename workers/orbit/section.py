@@ -1,4 +1,4 @@
-"""The section of an orbit's proof: t = (k + shift) T, near which the motion meets no stop and leaves none.
+"""The section of an orbit's proof: instants t = (k + shift) T, near which the motion meets no stop and leaves none.
 
 Results refer to the section t = k T. An orbit may impact there, as many closed forms do. Rounding then decides, in each
 turn, whether the impact comes before or after the section, and the map is not smooth. Period, impacts and multipliers
@@ -34,7 +34,7 @@ def seen_later(oscillator, shift):
 
 @kernel
 def motion_after(oscillator, h, mode, shift):
-    """Return the motion from block state h (n, 2) after ``shift`` < 1 periods."""
+    """Return the motion from block state h (n, 2) and the mode of this number after ``shift`` < 1 periods."""
     motion = motion_alone(h, mode)
     propagate(oscillator, motion, shift * oscillator.head[HEAD.period])
     return motion
@@ -42,9 +42,10 @@ def motion_after(oscillator, h, mode, shift):
 
 @kernel
 def quiet_section(oscillator, h, mode):
-    """Return (shift, h (n, 2), mode, periods flown): a section t = (k + shift) T without events of the motion nearby.
+    """Return a section t = (k + shift) T near which the motion has no events, as (shift, h, mode, periods flown).
 
-    The block state given is that at t = 0, the one returned that at t = shift T; with modes both are at t = 0.
+    The arguments h (n, 2) and mode are block state and number of the mode at t = 0, the results those at t = shift T.
+    For machines with modes the shift is 0.
     """
     if has_modes(oscillator):
         return 0.0, h.copy(), mode, 0
@@ -65,9 +66,9 @@ def quiet_section(oscillator, h, mode):
 
 @inline_always
 def back_at_section(oscillator, shift, h, mode):
-    """Return the motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
+    """Return the motion at the next instant t = k T, from block state h (n, 2) at t = (k - 1 + shift) T.
 
-    An impact at that section counts as past, also if rounding delays it by up to PAST_SECTION T.
+    An impact at the end counts as past, also if rounding delays it by up to PAST_SECTION T.
     """
     motion = motion_after(seen_later(oscillator, shift), h, mode, 1.0 - shift)
     after = motion_after(oscillator, motion.h, motion.mode[0], PAST_SECTION)

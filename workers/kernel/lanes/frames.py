@@ -42,7 +42,9 @@ MAX_SPREAD_OF_ONE = 100.0
 
 
 class Workspace(NamedTuple):
-    """Work arrays in which ``normalise_pass`` makes the frames of some lanes orthonormal.
+    """Work arrays in which the frames of some lanes are made orthonormal, with their m vectors of n blocks.
+
+    A frame is the set of tangent vectors of one lane, which holds one cell.
 
     frames  (m, 2 n STRIDE)  vectors, as those of the lanes
     growths (m, STRIDE)      growth of each vector
@@ -62,7 +64,7 @@ class Workspace(NamedTuple):
 
 @inlined
 def entry(j, c, i):
-    """Return the index of number c (0 or 1) of block j of frame i within the numbers of one vector of many frames.
+    """Return an index into the array of one tangent vector of many cells: number c (0 or 1) of block j of cell i.
 
     The index is unsigned: a check for negative indices would prevent vector instructions in a loop over i.
     """
@@ -80,14 +82,17 @@ def last_two(u):
 
 @kernel
 def clear(partial, count):
-    """Zero the sums over blocks."""
+    """Set the first ``count`` entries of both sums over blocks in ``partial`` to zero."""
     for i in range(count):
         partial[entry(0, 0, i)] = partial[entry(0, 1, i)] = 0.0
 
 
 @inlined
 def product_of_two(metric, u, w, j, i, total):
-    """Return the total plus blocks j and j + 1 of the product of ``tangent.inner``."""
+    """Return ``total`` plus the terms of blocks j and j + 1 in the product of the tangent vectors u and w of frame i.
+
+    For the product see ``tangent.inner``, and for the arrays ``normalise_pass``.
+    """
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     total = fma(u[e1], w[e1], fma(metric[e0] * u[e0], w[e0], total))
     return fma(u[e3], w[e3], fma(metric[e2] * u[e2], w[e2], total))
@@ -95,7 +100,7 @@ def product_of_two(metric, u, w, j, i, total):
 
 @inlined
 def scale_two(u, j, i, factor):
-    """Multiply blocks j and j + 1 of vector i by ``factor``."""
+    """Multiply blocks j and j + 1 of tangent vector u of frame i by ``factor``, in place."""
     u[entry(j, 0, i)] *= factor
     u[entry(j, 1, i)] *= factor
     u[entry(j, 2, i)] *= factor
@@ -104,7 +109,7 @@ def scale_two(u, j, i, factor):
 
 @inlined
 def subtract_two(u, w, j, i, factor):
-    """Subtract ``factor`` times u from blocks j and j + 1 of w."""
+    """Subtract ``factor`` times tangent vector u from w in blocks j and j + 1 of frame i, in place."""
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     w[e0] = fma(-factor, u[e0], w[e0])
     w[e1] = fma(-factor, u[e1], w[e1])
@@ -114,7 +119,10 @@ def subtract_two(u, w, j, i, factor):
 
 @kernel
 def products(metric, u, w, partial, count):
-    """Set the partial products of u and w over all blocks except the last two."""
+    """Write the products of tangent vectors u and w of ``count`` frames to ``partial``, without their last two blocks.
+
+    A block is one decoupled equation of the motion. For the product see ``tangent.inner``.
+    """
     clear(partial, count)
     for j in range(0, last_two(u), 2):
         for i in range(count):
@@ -123,7 +131,7 @@ def products(metric, u, w, partial, count):
 
 @kernel
 def normalise_pass(metric, rank, k, u, growth, partial, count):
-    """Make vector k of ``count`` frames a unit vector, one step of tangent.orthonormalise.
+    """Scale vector k of each of ``count`` frames of tangent vectors to unit length, one step of tangent.orthonormalise.
 
     metric (2 n STRIDE,)  metric at the first number of each block
     rank   (STRIDE,)      number of directions of each frame
@@ -146,7 +154,7 @@ def normalise_pass(metric, rank, k, u, growth, partial, count):
 
 @kernel
 def project_pass(metric, u, w, partial, count):
-    """Project the unit vector u out of the later vector w, one step of tangent.orthonormalise.
+    """Make a later tangent vector w of each frame orthogonal to the unit vector u, as in tangent.orthonormalise.
 
     The arguments are those of ``normalise_pass``.
     """
@@ -163,13 +171,16 @@ def project_pass(metric, u, w, partial, count):
 
 @inlined
 def at(j, field, i):
-    """Return the index of a field of block j of lane i; unsigned, as in ``entry``."""
+    """Return the index of a field of block j (a decoupled equation) of lane i in the array of all lanes' fields.
+
+    It is unsigned, as in ``entry``.
+    """
     return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
 
 
 @inline_always
 def workspace(m, n):
-    """Return a workspace for m vectors of n blocks."""
+    """Return work arrays for making frames of m tangent vectors of n blocks orthonormal, see Workspace."""
     size = 2 * padded_blocks(n) * STRIDE
     return Workspace(
         room_for_vectors(m * size).reshape((m, size)),
@@ -183,9 +194,14 @@ def workspace(m, n):
 
 @kernel
 def spread_pass(a, limit, n):
-    """Set the flight and the impact that each frame has to pass, and return how many frames must be reset first.
+    """Decide for each lane how its tangent vectors pass the flight and the impact just completed.
 
-    A frame is the set of tangent vectors of one lane. To reset it is to make it orthonormal; a long flight is a reason.
+    a      fields of all lanes; those of the frame change
+    limit  largest stretch of a frame, as a logarithm, before it is made orthonormal
+    n      number of lanes
+
+    Return how many frames must be made orthonormal first. A frame is the set of tangent vectors of one lane. A long
+    flight is a reason as well.
     """
     count = 0
     for i in range(n):
@@ -219,7 +235,14 @@ def is_whole(vectors, blocks):
 
 @inline_always
 def orthonormalise_due(a, count, frames, growths, space, blocks):
-    """Apply tangent.orthonormalise to the frames of the first ``count`` of space.lanes."""
+    """Make the tangent vectors of some lanes orthonormal, as tangent.orthonormalise does for one cell.
+
+    a                 fields of all lanes
+    count             number of these lanes, listed first in space.lanes
+    frames, growths   tangent vectors of all lanes and their growth, changed in place
+    space             work arrays
+    blocks            number of blocks, the decoupled equations of motion
+    """
     U, growing, metric, rank, lanes, partial = space
     m = len(frames)
     for e in range(count):
@@ -242,7 +265,10 @@ def orthonormalise_due(a, count, frames, growths, space, blocks):
 
 @kernel
 def gather_vector(lanes, count, blocks, u, growth, w, growing):
-    """Copy one vector and its growth from the first ``count`` of these lanes to w, contiguously."""
+    """Copy one tangent vector and its growth from the first ``count`` of these lanes to contiguous arrays.
+
+    The vector u goes to w and its growth to ``growing``. ``lanes`` are numbers of lanes, slots that hold one cell each.
+    """
     for e in range(count):
         growing[e] = growth[lanes[e]]
     for j in range(blocks):
@@ -253,7 +279,7 @@ def gather_vector(lanes, count, blocks, u, growth, w, growing):
 
 @kernel
 def scatter_vector(lanes, count, blocks, w, growing, u, growth):
-    """Undo ``gather_vector``: copy one vector and its growth from w back to these lanes."""
+    """Undo ``gather_vector``: copy one tangent vector and its growth from w and ``growing`` back to these lanes."""
     for e in range(count):
         growth[lanes[e]] = growing[e]
     for j in range(blocks):
@@ -264,7 +290,10 @@ def scatter_vector(lanes, count, blocks, w, growing, u, growth):
 
 @inlined
 def fly_block(a, u, j, i, dy, dv):
-    """Carry block j of vector i through a completed flight; return (dy, dv) plus its contribution, for an impact."""
+    """Carry block j of tangent vector u of lane i through the flight just completed, in place.
+
+    Return (dy, dv), position and velocity of the gap coordinate in the vector, plus the contribution of the block.
+    """
     flows, e0, e1 = a[LANE.flows + i] > 0.0, entry(j, 0, i), entry(j, 1, i)
     u0, u1 = u[e0], u[e1]
     w0 = fma(a[at(j, BLOCK.f11, i)], u0, a[at(j, BLOCK.f12, i)] * u1)
@@ -277,7 +306,7 @@ def fly_block(a, u, j, i, dy, dv):
 
 @inlined
 def kick_block(a, u, j, i, along_k, along_Ak):
-    """Add the change by an impact to block j of vector i, see contact.saltation."""
+    """Add the change by an impact to block j of tangent vector u of lane i, in place; see contact.saltation."""
     e0, e1 = entry(j, 0, i), entry(j, 1, i)
     u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
     u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
@@ -285,7 +314,10 @@ def kick_block(a, u, j, i, along_k, along_Ak):
 
 @kernel
 def transfer_pass(a, u, partial, n):
-    """Carry one vector through completed flights, and through impacts, as contact.saltation does."""
+    """Carry tangent vector u of each of n lanes through the flight just completed, and through an impact at its end.
+
+    The impact acts as in contact.saltation. ``partial`` is overwritten.
+    """
     last = last_two(u)
     clear(partial, n)
     for j in range(0, last, 2):
@@ -311,9 +343,11 @@ def transfer_pass(a, u, partial, n):
 
 @inline_always
 def fly_frame_far(a, i, blocks, frames, growths):
-    """Do ``transfer_pass`` for a long flight of lane i, which spreads its frame far.
+    """Carry the tangent vectors of lane i through a long flight, which stretches some vectors far more than others.
 
-    blocks (N, n, columns)  blocks of all cells
+    blocks (N, n, columns)  constants of the decoupled equations of all cells
+
+    The vectors become orthonormal. Otherwise ``transfer_pass`` does the work.
     """
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
@@ -326,9 +360,9 @@ def fly_frame_far(a, i, blocks, frames, growths):
 
 @inline_always
 def move_frames(a, n, blocks, frames, growths, space):
-    """Carry the tangent vectors of all lanes through the flights and impacts just completed, as period.propagate does.
+    """Carry the tangent vectors of the first n lanes through the flights and impacts just completed.
 
-    blocks (N, n, columns)  blocks of all cells
+    blocks (N, n, columns)  constants of the decoupled equations of all cells
     """
     if spread_pass(a, MAX_SPREAD if len(frames) > 1 else MAX_SPREAD_OF_ONE, n) > 0:
         count = list_lanes(a, LANE.due, n, space.lanes)
@@ -345,16 +379,16 @@ def move_frames(a, n, blocks, frames, growths, space):
 
 @inlined
 def square_of_block(a, u, j, i, total):
-    """Return the total plus block j of the squared length of a vector."""
+    """Return ``total`` plus the contribution of block j to the squared length of tangent vector u of lane i."""
     u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
     return fma(u1, u1, fma(a[at(j, BLOCK.metric, i)] * u0, u0, total))
 
 
 @kernel
 def measure_pass(a, u, growth, partial, n):
-    """Set the growth over the period of the first vector, in lanes at their section or at their first start.
+    """Set the growth of the first tangent vector over the period, in lanes that end a period or have just started.
 
-    LANE.log_length, NaN if unknown, is tangent.log_length at the last section.
+    LANE.log_length is tangent.log_length at the start of the period, NaN if unknown.
     """
     last = last_two(u)
     clear(partial, n)
@@ -371,7 +405,7 @@ def measure_pass(a, u, growth, partial, n):
 
 @inlined
 def load_frame(V, growth, frames, growths, i):
-    """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i."""
+    """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i of the arrays of all lanes."""
     for k in range(V.shape[0]):
         growths[k, i] = growth[k]
         for j in range(V.shape[1]):

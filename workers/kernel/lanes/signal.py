@@ -1,7 +1,8 @@
-"""The signal y(t) of every lane with its derivatives, and bounds of them for all later times: sums over blocks.
+"""The gap coordinate y(t) of every lane with its derivatives, and bounds of them for all later times.
 
-Each function is a loop over the first n lanes. ``a`` holds the fields of all lanes, ``q`` those of one block, see
-``layout.py``.
+A lane is a slot of vectorised loops that holds one cell. Each function is a loop over the first n lanes. y is a sum
+over the harmonics of the force and over blocks, the decoupled equations of motion. ``a`` holds the fields of all lanes,
+``q`` those of one block, see ``layout.py``.
 """
 
 from workers.kernel.flow import fall, flow_entries, oscillating_flow
@@ -13,20 +14,26 @@ from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, 
 
 @kernel
 def fields_of(a, j):
-    """Return the fields of block j of all lanes."""
+    """Return the part of the array a of all lanes' fields that belongs to block j, a decoupled equation of motion."""
     return a[LANE_SIZE + j * BLOCK_SIZE : LANE_SIZE + (j + 1) * BLOCK_SIZE]
 
 
 @kernel
 def fields_of_harmonic(a, blocks, k):
-    """Return the fields of harmonic k + 2 of all lanes, which lie behind the fields of all ``blocks``."""
+    """Return the part of the array a of all lanes' fields that belongs to harmonic k + 2 of the force.
+
+    It lies behind the fields of all ``blocks``.
+    """
     first = LANE_SIZE + blocks * BLOCK_SIZE
     return a[first + k * HARMONIC_SIZE : first + (k + 1) * HARMONIC_SIZE]
 
 
 @kernel
 def forced_pass(a, n):
-    """Start the sums of the signal and its derivatives at LANE.time with the forced part."""
+    """Set the signal of each of n lanes and its derivatives, at LANE.time, to the part of the force's first harmonic.
+
+    Contributions of other harmonics and of blocks, the decoupled equations of motion, are added afterwards.
+    """
     for i in range(n):
         w = a[LANE.omega + i]
         phase = fma(w, a[LANE.time + i], a[LANE.flight_phase + i])
@@ -44,7 +51,10 @@ def forced_pass(a, n):
 
 @inlined
 def absent(q, n):
-    """Return True if no lane has this harmonic: a force lacks most orders below its highest."""
+    """Return True if none of the first n lanes has this harmonic of the force, with fields q.
+
+    A force lacks most orders below its highest.
+    """
     for i in range(n):  # noqa: SIM110 - a kernel has no generators
         if q[HARMONIC.sin_part + i] != 0.0 or q[HARMONIC.cos_part + i] != 0.0:
             return False
@@ -53,7 +63,10 @@ def absent(q, n):
 
 @kernel
 def harmonic_pass(a, q, order, n):
-    """Add the harmonic of this order, with fields q, to the sums that ``forced_pass`` began."""
+    """Add the contribution of a harmonic of the force, of this order, to the signal of each of n lanes.
+
+    ``q`` are the fields of the harmonic.
+    """
     if absent(q, n):
         return
     for i in range(n):
@@ -73,7 +86,7 @@ def harmonic_pass(a, q, order, n):
 
 @inlined
 def output_of(q, i, h0, h1):
-    """Return signal.block_output of a state of one block of lane i."""
+    """Return signal.block_output, the contribution to the signal, of block state (h0, h1) in lane i."""
     eta, lam = q[BLOCK.eta + i], q[BLOCK.lam + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return block_output(h0, h1, eta, lam, c0, c1, cA0, cA1)
@@ -81,7 +94,7 @@ def output_of(q, i, h0, h1):
 
 @inlined
 def loaded_output_of(q, i, h0, h1):
-    """Return signal.loaded_output of a state of one block of lane i."""
+    """Return signal.loaded_output, the contribution to the signal under a load, of block state (h0, h1) in lane i."""
     eta, lam, load = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.load + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
@@ -89,7 +102,10 @@ def loaded_output_of(q, i, h0, h1):
 
 @inlined
 def state_after(q, i, flow):
-    """Return the state of one block of lane i after a flow from the start of the flight; store the flow."""
+    """Return the state of one block of lane i after the flow from the start of the flight, and store the flow's matrix.
+
+    flow  four numbers of the matrix, see flow.flow_entries
+    """
     f11, f12, f21, f22 = flow
     q[BLOCK.f11 + i] = f11
     q[BLOCK.f12 + i] = f12
@@ -101,7 +117,10 @@ def state_after(q, i, flow):
 
 @inlined
 def add_share(a, q, i, h0, h1, share):
-    """Store the state of one block of lane i and add its contribution to the signal."""
+    """Store the state (h0, h1) of one block of lane i, and add its contribution ``share`` to the signal.
+
+    ``share`` has the value and three derivatives.
+    """
     q0, q1, q2, q3 = share
     q[BLOCK.h0 + i] = h0
     q[BLOCK.h1 + i] = h1
@@ -114,7 +133,7 @@ def add_share(a, q, i, h0, h1, share):
 
 @kernel
 def oscillating_block_pass(a, q, n):
-    """Advance one block, underdamped in every lane, to LANE.time and add its contribution to the signal."""
+    """Do ``block_pass`` for a block that is underdamped in every lane and bears no load."""
     for i in range(n):
         eta, lam, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
         h0, h1 = state_after(q, i, oscillating_flow(a[LANE.time + i], eta, lam, w, inv_w))
@@ -123,7 +142,10 @@ def oscillating_block_pass(a, q, n):
 
 @kernel
 def block_pass(a, q, n):
-    """Advance one block to LANE.time and add its contribution to the signal, for any damping and load."""
+    """Advance one block, a decoupled equation of motion, to LANE.time in each of n lanes, and add it to the signal.
+
+    Any damping and load are allowed.
+    """
     for i in range(n):
         s, load = a[LANE.time + i], q[BLOCK.load + i]
         eta, lam, d, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.d + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
@@ -135,7 +157,11 @@ def block_pass(a, q, n):
 
 @kernel
 def restart_pass(a, n):
-    """Restart the sums of the signal at the start of a flight, and those of its bounds there and at renewals."""
+    """Reset the sums for the signal at the start of a flight, and for its bounds there and at renewals.
+
+    At the start of a flight the signal of a lane begins with the forced part. Its bounds begin with those of the forced
+    part; other lanes keep their values.
+    """
     for i in range(n):
         y, v, second, third = (
             a[LANE.forced + i],
@@ -160,7 +186,10 @@ def restart_pass(a, n):
 
 @inlined
 def state_at_start(a, q, i):
-    """Return the state of a block for new bounds; at the start of a flight the state after the kick of the impact."""
+    """Return the state of a block of lane i from which new bounds follow: its state now, after the kick of an impact.
+
+    An impact has just kicked the block if a flight starts. The state at the start of the flight is then stored.
+    """
     fresh = a[LANE.starts + i] > 0.0
     g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
     dv, dy = a[LANE.kick + i], a[LANE.shift + i]
@@ -174,7 +203,7 @@ def state_at_start(a, q, i):
 
 @inlined
 def share_at_start(a, i, share):
-    """Add a block's contribution to the sums at the start of a flight."""
+    """Add a block's contribution ``share`` to the signal and its derivatives in lane i, if a flight starts there."""
     fresh = a[LANE.starts + i] > 0.0
     q0, q1, q2, q3 = share
     a[LANE.y + i] = a[LANE.y + i] + q0 if fresh else a[LANE.y + i]
@@ -186,13 +215,13 @@ def share_at_start(a, i, share):
 
 @inlined
 def amplitude_factors(q, i):
-    """Return the factors of kernel.signal.amplitude_bounds for one block of lane i."""
+    """Return the constants of one block of lane i that kernel.signal.amplitude_bounds needs."""
     return q[BLOCK.tilt + i], q[BLOCK.weight + i], q[BLOCK.grow2 + i], q[BLOCK.grow3 + i], q[BLOCK.grow4 + i]
 
 
 @inlined
 def add_bounds(a, i, bounds):
-    """Add a block's bounds to the sums that are computed anew."""
+    """Add a block's bounds to the bounds of the signal in lane i, if these are renewed."""
     renew = a[LANE.renews + i] > 0.0
     b0, b2, b3, b4 = bounds
     a[LANE.bound0 + i] = a[LANE.bound0 + i] + b0 if renew else a[LANE.bound0 + i]
@@ -203,7 +232,7 @@ def add_bounds(a, i, bounds):
 
 @kernel
 def oscillating_bounds_pass(a, q, n):
-    """Add the contribution of one block, underdamped in every lane, to the sums that ``restart_pass`` began."""
+    """Do ``bounds_pass`` for a block that is underdamped in every lane."""
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = output_of(q, i, h0, h1)
@@ -214,7 +243,10 @@ def oscillating_bounds_pass(a, q, n):
 
 @kernel
 def bounds_pass(a, q, n):
-    """Add the contribution of one block, for any damping, to the sums that ``restart_pass`` began."""
+    """Add the contribution of one block, a decoupled equation of motion, to the sums that ``restart_pass`` has reset.
+
+    The sums are the signal at the start of a flight, and its bounds.
+    """
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = loaded_output_of(q, i, h0, h1)
@@ -228,7 +260,11 @@ def bounds_pass(a, q, n):
 
 @inline_always
 def renewal_pass(a, blocks, oscillates, n):
-    """Set the signal at the start of a flight, and its bounds there and at renewals; see rounds.run_round."""
+    """Set the signal at the start of a flight, and its bounds there and at renewals, in each of n lanes.
+
+    blocks      number of blocks, the decoupled equations of motion
+    oscillates  whether all are underdamped in all lanes
+    """
     restart_pass(a, n)
     for j in range(blocks):
         if oscillates:

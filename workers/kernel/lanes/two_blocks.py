@@ -1,7 +1,8 @@
-"""Tangent frames of four vectors of two blocks (two masses): a whole frame at a time, its numbers in registers.
+"""Tangent vectors of machines with two blocks (two masses), four for each cell: all four at a time, in registers.
 
-Each function is a loop over lanes, or over gathered frames. The results have the same bits as the passes of
-``frames.py``, which take one vector at a time. Arrays are flat with constant offsets, see ``layout.py``.
+Each function is a loop over lanes, slots that hold one cell each, or over frames, the sets of four vectors. The results
+have the same bits as the passes of ``frames.py``, which take one vector at a time. Arrays are flat with constant
+offsets, see ``layout.py``.
 """
 
 import math
@@ -31,13 +32,13 @@ def write(U, e, u):
 
 @inlined
 def product(p, q, u, w):
-    """Return ``tangent.inner`` of two vectors, with p and q the metric of the blocks."""
+    """Return ``tangent.inner`` of two tangent vectors of four numbers; p and q are the metric of both blocks."""
     return fma(u[3], w[3], fma(q * u[2], w[2], fma(u[1], w[1], fma(p * u[0], w[0], 0.0))))
 
 
 @inlined
 def without(p, q, u, w):
-    """Return the vector w without its component along the unit vector u."""
+    """Return the tangent vector w without its component along the unit vector u; p and q are the blocks' metric."""
     overlap = product(p, q, u, w)
     return (
         fma(-overlap, u[0], w[0]), fma(-overlap, u[1], w[1]), fma(-overlap, u[2], w[2]), fma(-overlap, u[3], w[3])
@@ -46,7 +47,10 @@ def without(p, q, u, w):
 
 @inlined
 def unit(p, q, u, exists):
-    """Return the unit vector along u, or zero if it does not exist, and the logarithm of its length."""
+    """Return the unit vector along u and the logarithm of u's length; p and q are the metric of both blocks.
+
+    If ``exists`` is False, since the direction is lost, return a zero vector and -infinity.
+    """
     norm = math.sqrt(product(p, q, u, u))
     inverse = 1.0 / norm if exists else 0.0
     return (u[0] * inverse, u[1] * inverse, u[2] * inverse, u[3] * inverse), log(norm if exists else 0.0)
@@ -77,7 +81,10 @@ def orthonormalise_frames(metric, rank, U, growth, count):
 
 @inlined
 def flown(a, i, flows, u):
-    """Return the tangent vector u, four numbers, after the flight of lane i, if a flight has just been completed."""
+    """Return the tangent vector u, four numbers, after the flight just completed in lane i.
+
+    ``flows`` is True if a flight has been completed; otherwise u is returned unchanged.
+    """
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     w0 = fma(a[first + BLOCK.f11], u[0], a[first + BLOCK.f12] * u[1])
     w1 = fma(a[first + BLOCK.f21], u[0], a[first + BLOCK.f22] * u[1])
@@ -88,7 +95,10 @@ def flown(a, i, flows, u):
 
 @inlined
 def along(a, i, column0, column1, w):
-    """Return the product of the vector w with a row of the gap's guard, given by the block columns of the row."""
+    """Return the product of tangent vector w with a row of the gap coordinate in lane i.
+
+    The row is given by the offsets column0 and column1 of its numbers in each block.
+    """
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     total = fma(a[first + column1], w[1], fma(a[first + column0], w[0], 0.0))
     return fma(a[second + column1], w[3], fma(a[second + column0], w[2], total))
@@ -96,7 +106,7 @@ def along(a, i, column0, column1, w):
 
 @inlined
 def kicked(a, i, w):
-    """Return the vector w after the impact of lane i, as in contact.saltation; unchanged without an impact."""
+    """Return the tangent vector w after the impact of lane i, see contact.saltation; w itself if there is no impact."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     dy, dv = along(a, i, BLOCK.c0, BLOCK.c1, w), along(a, i, BLOCK.cA0, BLOCK.cA1, w)
     along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
@@ -111,7 +121,10 @@ def kicked(a, i, w):
 
 @kernel
 def transfer_frames(a, frames, n):
-    """Do frames.transfer_pass for all four vectors of the first n lanes: the fields of a lane are read once."""
+    """Carry all four tangent vectors of each of n lanes through a completed flight and an impact.
+
+    It does the work of frames.transfer_pass, but reads the fields of a lane once.
+    """
     for i in range(n):
         flows = a[LANE.flows + i] > 0.0
         u, v = read(frames, i), read(frames, VECTOR + i)
