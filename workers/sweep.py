@@ -31,9 +31,9 @@ def solve_lines(
     backward  True if each line is solved from its last cell to its first
 
     The first cell of a line starts from its own initial state. Every other cell starts from the nearest earlier cell
-    with ``state``, the section state on the attractor. Invalid and failed cells have no ``state``. If the gap has
-    become too narrow for the state, its gap coordinate is moved onto the stop, as by a wall that closes in. The
-    velocities stay; an outward velocity is reversed by the impact that follows at once.
+    with ``state``, a state on the attractor at a fixed phase of the force. Invalid and failed cells have no ``state``.
+    If the gap has become too narrow for the state, its gap coordinate is moved onto the stop, as by a wall that closes
+    in. The velocities stay; an outward velocity is reversed by the impact that follows at once.
 
     A cell depends on its line, but on no other line. Raise the errors of ``solve_tile``, and ValueError if the axis
     does not exist.

@@ -31,7 +31,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
     system    name of a system in the package, such as "two-mass", or a System
     params    parameter name -> float or array; all others have their defaults. The arrays broadcast to the shape of
               every result. "spectrum" and "state" have one more axis (2n; "spectrum" 2n - 1 if a coordinate drifts),
-              "section" two (K, 2n)
+              "section" (the last K states at a fixed phase of the force) two (K, 2n)
     settings  see Settings
 
     Exponents are per forcing period. ``System.variables`` has the variables and their units. A cell depends on its own

@@ -66,9 +66,10 @@ def with_phase(oscillator: Any, tau: Any) -> Any:
 
 
 def without_mode_table(oscillators: Any) -> Any:
-    """Return a batch of oscillators without its last field, the table of modes, by reference.
+    """Return a batch of oscillators without its last field, the table of their modes (sets of linear equations).
 
-    Machines with one rigid contact have an empty table, and kernels read rows of the batch faster without it.
+    Machines with one rigid contact have an empty table, and kernels read rows of the batch faster without it. The batch
+    is passed by reference.
     """
     return oscillators
 

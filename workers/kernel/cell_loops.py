@@ -33,9 +33,10 @@ def energy_norm(blocks, h):
 
 @kernel
 def scale_of(blocks, h):
-    """Return the size of a motion at block state h (n, 2), to which deviations of the motion are compared.
+    """Return the size of a motion, to which deviations of the motion are compared.
 
-    The size is the energy norm of h plus that of Y. The swing columns of ``blocks`` bound the forced response Y.
+    The size is the energy norm of h plus that of Y. h (n, 2) is the state of the decoupled equations of motion. The
+    swing columns of ``blocks`` bound their forced response Y.
     """
     swing = 0.0
     for j in range(len(blocks)):
@@ -48,7 +49,7 @@ def start_motions(oscillators, motions, states, cells):
     """Start motions at given states, in place, and return the sizes (N,) of the motions, see ``scale_of``.
 
     oscillators  batch of N machines
-    motions      batch of motions; block state and mode (the set of linear equations that holds) are written
+    motions      batch of motions, whose states and modes (the sets of linear equations that hold) are written
     states       (N, 2n) displacements, then velocities, at a section, an instant t = k T of fixed phase of the force
     cells        rows to process
     """

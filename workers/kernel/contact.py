@@ -82,9 +82,9 @@ def is_rebound(load, v, R, cA2k, scale, remaining, period):
 
 @inlined
 def kick(blocks, h, dv):
-    """Change the velocity of the gap coordinate by dv, in place: z + dv k, for a block state h (n, 2).
+    """Change the velocity of the gap coordinate by dv, in place, by adding dv k to a state h (n, 2).
 
-    The column k of ``blocks`` is the direction of an impact in the states (h, h') of the decoupled equations.
+    h is the state of the decoupled equations of motion. The column k of ``blocks`` is the direction of an impact.
     """
     for j in range(len(blocks)):
         h[j, 0] += dv * blocks[j, COLUMN.k0]
@@ -93,9 +93,10 @@ def kick(blocks, h, dv):
 
 @inlined
 def shift(blocks, h, dy):
-    """Move the gap coordinate y = c . z by a rounding error dy, in place: z + dy A k, for a block state h (n, 2).
+    """Move the gap coordinate y = c . z by a rounding error dy, in place, by adding dy A k to a state h (n, 2).
 
-    A is the matrix of the flight and k the direction of an impact; c . A k = 1.
+    h is the state of the decoupled equations of motion, z the same as a vector. A is the matrix of the flight and k the
+    direction of an impact; c . A k = 1.
     """
     for j in range(len(blocks)):
         h[j, 0] += dy * blocks[j, COLUMN.Ak0]
@@ -104,7 +105,7 @@ def shift(blocks, h, dy):
 
 @inlined
 def add_columns(blocks, u, along_k, along_Ak):
-    """Add along_k k + along_Ak A k to a tangent vector u (n, 2) in block coordinates, in place.
+    """Add along_k k + along_Ak A k to a tangent vector u (n, 2) in coordinates of the decoupled equations, in place.
 
     k is the direction of an impact, and A k its derivative by the matrix A of the flight; both are columns of
     ``blocks``.

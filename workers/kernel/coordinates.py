@@ -34,8 +34,8 @@ def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int
     vectors  number of tangent vectors to carry
     record   number of impacts to record
 
-    A section is an instant of fixed phase of the force. The state decides the mode: on a stop with v = 0 the mass
-    sticks or is about to leave. Raise InvalidError if the state is beyond a stop.
+    A section is an instant of fixed phase of the force. The state decides the mode (set of linear equations): on a stop
+    with v = 0 the mass sticks or is about to leave. Raise InvalidError if the state is beyond a stop.
     """
     h = np.zeros((len(oscillator.gap_row), 2))
     mode = start_at(oscillator, np.asarray(state, dtype=np.float64), h)
@@ -46,7 +46,7 @@ def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int
 
 @external(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
 def start_hybrid(oscillator, state, h):
-    """Write block coordinates h (n, 2) of a state (2n,) at a section, and return the number of its mode.
+    """Convert a physical state to a state h (n, 2) of the decoupled equations of motion, and return its mode's number.
 
     This is ``start_at`` for machines with modes: sets of linear equations, each valid between two events.
     """
@@ -57,10 +57,11 @@ def start_hybrid(oscillator, state, h):
 
 @kernel
 def start_at(oscillator, state, h):
-    """Write block coordinates h (n, 2) of a state (2n,) at a section, and return the number of its mode, or BEYOND.
+    """Convert a physical state to a state h (n, 2) of the decoupled equations of motion, and return its mode's number.
 
-    The state has displacements, then velocities, at an instant of fixed phase of the force. Row j of h is (h, h') of
-    decoupled equation j, without the forced response. The mode is the set of linear equations that holds next.
+    The physical state (2n,) has displacements, then velocities, at an instant of fixed phase of the force. Row j of h
+    is (h, h') of decoupled equation j, without the forced response. The mode is the set of linear equations that holds
+    next. The number is BEYOND if the state is beyond a stop.
     """
     if has_modes(oscillator):
         return start_hybrid(oscillator, state, h)
@@ -94,7 +95,7 @@ def mode_at_rest(oscillator, side, h, turn):
     """Return the number of the mode of a motion that is on a stop with v = 0.
 
     side  side of the stop, +-1
-    h     (n, 2) block state
+    h     (n, 2) state of the decoupled equations
     turn  (H, 2) sine and cosine of the harmonics of the force, see state.harmonics_at
 
     The mode, the set of equations that holds next, is sticking if the load presses, else the mass is about to leave.
@@ -134,9 +135,10 @@ def put_on_stop(row, stop, x):
 
 @external(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
 def leave_hybrid(oscillator, h, mode, state):
-    """Add the physical state of block coordinates h (n, 2) to a state (2n,) of zeros, for a machine with modes.
+    """Convert a state h (n, 2) of the decoupled equations to a physical one; add it to ``state`` (2n,), which is zero.
 
-    ``mode`` is the number of the mode, the set of linear equations that holds. See ``leave_blocks``.
+    This is ``leave_blocks`` for machines with modes. ``mode`` is the number of the mode, the set of linear equations
+    that holds.
     """
     h, state = by_value(h), by_value(state)
     leave_frame(oscillator.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
@@ -145,7 +147,7 @@ def leave_hybrid(oscillator, h, mode, state):
 
 @kernel
 def leave_blocks(oscillator, h, mode, state):
-    """Add the state of a motion with block coordinates h (n, 2) to ``state`` (2n,), which the caller has set to zero.
+    """Convert a state h (n, 2) of the decoupled equations to a physical one: add it to ``state`` (2n,), which is zero.
 
     The result has displacements, then velocities. ``mode`` is the number of the mode, the set of linear equations that
     holds. A sticking mass is put on its stop exactly, see ``blocks_to_physical``.

@@ -19,8 +19,8 @@ from workers.model.oscillator import COLUMN, NUMBER, GuardedFlow
 def velocity_of(gap):
     """Return a free flight whose signal is the velocity y' in place of the gap coordinate y, and its offset.
 
-    The offset is what a constant load adds to y': c1 load for each block. The rows of the new signal are cA and cA^2,
-    where c is the row of y and A the matrix of the flight. The forced part Y' has amplitudes
+    The offset is what a constant load adds to y': c1 load for each block (decoupled equation). The rows of the new
+    signal are cA and cA^2, where c is the row of y and A the matrix of the flight. The forced part Y' has amplitudes
 
         sin_part' = -k omega cos_part,  cos_part' = k omega sin_part.
     """
@@ -47,8 +47,8 @@ def velocity_of(gap):
 def next_turn(velocity, offset, h, phase, falls, signal_starts, remaining, scratch):
     """Return (time, side, evaluations) of the next turning point of y within ``remaining``, as ``next_crossing`` does.
 
-    velocity, offset  the signal y', see ``velocity_of``
-    h (n, 2)          block state at the start; moved to the turning point, or to the end
+    velocity, offset  flight whose signal is y', and what is added to the signal, see ``velocity_of``
+    h (n, 2)          state of the decoupled equations at the start; moved to the turning point, or to the end
     falls             True if y falls at the start, else y rises
     signal_starts     argument ``start`` of ``next_crossing``
 

@@ -35,8 +35,8 @@ _loading, _compiles = threading.RLock(), False
 def load(modes: bool = False) -> None:
     """Compile the functions called by symbol that are not compiled yet, or load them from the cache on disk.
 
-    They are compiled in the order of their definition. With ``modes`` the functions that only kernels of machines with
-    modes call are included.
+    They are compiled in the order of their definition. With ``modes`` functions for machines with several contacts,
+    soft contacts or friction are included.
     """
     global _compiles
     if not _waiting[False] and not (modes and _waiting[True]):
@@ -61,7 +61,7 @@ def external(
 
     kinds   types of the arguments
     result  type of the result, a number
-    modes   whether only kernels of machines with modes call the function
+    modes   True if the function is only for machines with several contacts, soft contacts or friction
 
     Arrays and records are passed by reference, see ``by_reference.py``. The function uses fields of records directly,
     and arrays through ``by_value``.

@@ -168,7 +168,10 @@ def flow_with_tangent(block, s, h, V):
 
 @kernel
 def guard_of(blocks, h):
-    """Return the value c . h of a mode's guard, a signal that can end the mode, at a block state h (n, 2)."""
+    """Return the value c . h of a guard, a signal that can end the present law of motion.
+
+    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` has their columns c.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.c1], h[j, 1], fma(blocks[j, COLUMN.c0], h[j, 0], total))
@@ -177,7 +180,10 @@ def guard_of(blocks, h):
 
 @kernel
 def guard_rate_of(blocks, h):
-    """Return the rate cA . h of a mode's guard, a signal that can end the mode, at a block state h (n, 2)."""
+    """Return the rate of change cA . h of a guard, a signal that can end the present law of motion.
+
+    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` has their columns cA.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.cA1], h[j, 1], fma(blocks[j, COLUMN.cA0], h[j, 0], total))

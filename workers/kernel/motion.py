@@ -91,8 +91,8 @@ class Motion(NamedTuple):
     growth   (m,)       log of the growth removed from each vector so far
     triangle (m, m)     factors of tangent.orthonormalise; (0, 0) if not wanted
     tally    (TALLIES,) counts, see UPPER
-    impacts  (K, 3)     the first K impacts: time after the section, side, and speed before the impact, which is 0 where
-                        sticking begins, see write_down_rest; K = 0 if none are recorded
+    impacts  (K, 3)     the first K impacts: time since the start of the period, side, and speed before the impact;
+                        speed 0 where sticking begins, see write_down_rest; K = 0 if none are recorded
     extremes (2,)       the least and the greatest y - y0 so far; (0,) if not wanted
     scratch  (n, 2)     overwritten
     """
@@ -129,9 +129,11 @@ modes."""
 
 @typeof_impl.register(HybridMachines)
 def _(machines: HybridMachines, context: Any) -> types.Type:
-    """Hide HybridMachines, the machines from which Python builds modes, from kernels: there they are None.
+    """Hide HybridMachines from kernels, where they are None.
 
-    Also load the functions that kernels of machines with modes call by symbol.
+    From these machines Python builds sets of linear equations.
+
+    Also load the functions that only kernels of machines with several contacts, soft contacts or friction call.
     """
     load(modes=True)
     return types.none
@@ -197,13 +199,14 @@ def write_down(tally, contacts, t, stop, speed):
 
 @kernel
 def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
-    """Return a motion that starts at block state h (n, 2) in the mode of this number, with these tangent vectors.
+    """Return a motion that starts at state h (n, 2) in the mode of this number, with these tangent vectors.
 
     V, growth, triangle  tangent vectors and their factors, see Motion
     record               number of impacts to record
     watched              whether to follow the extremes of the gap coordinate
 
-    The mode is the set of linear equations of motion that holds at the start.
+    The mode is the set of linear equations of motion that holds at the start, and h the state of its decoupled
+    equations.
     """
     tally = NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
@@ -216,16 +219,17 @@ def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
 
 @kernel
 def motion_alone(h, mode):
-    """Return a motion without tangent vectors that starts at block state h (n, 2) in the mode of this number.
+    """Return a motion without tangent vectors that starts at state h (n, 2) in the mode of this number.
 
-    The mode is the set of linear equations of motion that holds at the start.
+    The mode is the set of linear equations of motion that holds at the start, and h the state of its decoupled
+    equations.
     """
     return motion_with(h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
 
 
 @register_jitable
 def axes(n: int) -> NDArray[np.float64]:
-    """Return the unit vectors of block coordinates as 2n tangent vectors (2n, n, 2)."""
+    """Return the unit vectors of coordinates of the decoupled equations as 2n tangent vectors (2n, n, 2)."""
     frame = np.zeros((2 * n, n, 2))
     for j in range(n):
         frame[2 * j, j, 0] = frame[2 * j + 1, j, 1] = 1.0
@@ -250,12 +254,12 @@ def cosine_vectors(n):
 def motions_at(
     h: NDArray[np.float64], mode: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
 ) -> Motion:
-    """Return a batch of motions that start at block states h (N, n, 2) in modes of these numbers (N, 1).
+    """Return a batch of motions that start at states h (N, n, 2) of the decoupled equations, in these modes (N, 1).
 
-    vectors  number of tangent vectors, the first unit vectors of block coordinates
+    vectors  number of tangent vectors, the first unit vectors of the coordinates h
     record   number of impacts to record
 
-    By default all start in free flight. A block state is (h, h') of each decoupled equation of motion.
+    Modes, the sets of linear equations that hold, are given by number. By default all motions start in free flight.
     """
     N, n = h.shape[:2]
     one = motion_at(np.zeros((n, 2)), FLIGHT, vectors, record)
@@ -264,10 +268,12 @@ def motions_at(
 
 
 def motion_at(h: NDArray[np.float64], mode: int = FLIGHT, vectors: int = 0, record: int = 0) -> Motion:
-    """Return a motion that starts at block state h (n, 2) in the mode of this number, by default in free flight.
+    """Return a motion that starts at state h (n, 2) of the decoupled equations, in the mode of this number.
 
-    vectors  number of tangent vectors, the first unit vectors of block coordinates
+    vectors  number of tangent vectors, the first unit vectors of the coordinates h
     record   number of impacts to record
+
+    The mode is the set of linear equations that holds, by default that of free flight.
     """
     V, growth, triangle = axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0))
     motion: Motion = motion_with.py_func(h, mode, V, growth, triangle, record)

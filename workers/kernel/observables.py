@@ -174,14 +174,14 @@ def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begin
 
 @kernel
 def see_outputs(table, meter, selection, seen, leg, since, begins, flies, tally):
-    """Record the turning points and section values of outputs on one leg of a motion, in ``seen``.
+    """Record turning points of outputs on one leg of a motion, and their values at t = k T, in ``seen``.
 
     table   ModeTable of the machine
     meter   MeasurePlan of the machine, with the outputs
-    leg     row of a LegRecord: the motion in one mode, between two events
+    leg     row of a LegRecord: the motion between two events
     since   time at the start of the period
     begins  time up to which turning points do not count
-    flies   whether section values count; they are taken at the start of the period
+    flies   whether values at t = k T, the start of the period, count
     tally   counts of the motion, changed in place
     """
     pieces, size, s, k = table.pieces, 2 * meter.rows.shape[1], leg[LEG.duration], int(leg[LEG.mode])
@@ -268,7 +268,7 @@ def see_period(table, meter, selection, seen, z, code, tally, since, duration, b
 
     z (2n,)        displacements, then velocities; changed in place
     code (1,)      number of the mode, the set of linear equations that holds; changed in place
-    flies          whether section values and energy losses count
+    flies          whether values at the start of the period and energy losses count
 
     For the other arguments see ``see_outputs``. If a mode is not built yet, the motion stays unchanged and nothing is
     recorded.

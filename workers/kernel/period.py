@@ -76,7 +76,7 @@ NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0)
 def come_to_rest(blocks, cA2k, motion, v):
     """Let the mass come to rest on a stop at the end of a chatter, a sequence of ever lower hops.
 
-    blocks, cA2k  constants of the flight, see Block and OscillatorScalars
+    blocks, cA2k  constants of the flight's decoupled equations, see Block, and of the impact, see OscillatorScalars
     motion        changed in place
     v             velocity before the last impact that is resolved
 

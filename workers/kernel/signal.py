@@ -61,7 +61,10 @@ def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
 
 @inlined
 def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
-    """Return ``block_output`` for a block under a constant load: q'' = -2 eta q' - lam q + c0 load."""
+    """Return ``block_output``, the contribution of a decoupled equation to a signal, for one under a constant load.
+
+    Then q'' = -2 eta q' - lam q + c0 load.
+    """
     q0 = fma(c0, h0, c1 * h1)
     q1 = fma(c1, load, fma(d0, h0, d1 * h1))
     q2 = fma(c0, load, fma(-2.0 * eta, q1, -lam * q0))
@@ -72,10 +75,12 @@ def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
 def evaluate(blocks, waves, omega, h, s, phase, offset):
     """Return a guard plus ``offset`` at a time s, its first three derivatives, and the scale of its rounding.
 
-    blocks, waves  decoupled equations and forced part of the mode whose signal the guard is, see GuardedFlow
+    blocks, waves  decoupled equations of motion, and forced part of the guard, see GuardedFlow
     omega          forcing frequency
-    h      (n, 2)  block state at the start, (h, h') of each equation
+    h      (n, 2)  state at the start, (h, h') of each equation
     phase          forcing phase at the start
+
+    A guard is a signal that can end the present law of motion.
     """
     y, v, a, j3, scale = all_forced(waves, omega, fma(omega, s, phase))
     y, scale = y + offset, scale + abs(offset)
@@ -102,6 +107,8 @@ def evaluate(blocks, waves, omega, h, s, phase, offset):
 def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
     """Return bounds, for all later times, of a block's contribution q to a signal and of its 2nd to 4th derivatives.
 
+    A block is a decoupled equation of motion.
+
     q0 and q1 are q and q' now. sqrt(q^2 + weight (q' + tilt q)^2) bounds q. With tilt = eta and weight = 1 / d it is
     the amplitude of the oscillation. With tilt = 0 and weight = 1 / lam it is the energy, which never grows. The
     derivatives are at most grow2...grow4 times that bound.
@@ -114,6 +121,8 @@ def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
 @inlined
 def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
     """Return bounds, for all later times, of a block's contribution q to a signal and of its 2nd to 4th derivative.
+
+    A block is a decoupled equation of motion.
 
     q0, q1  q and q' now
     pull    contribution of the load to q'', see ``loaded_output``
@@ -164,7 +173,9 @@ FINEST = 1e6
 def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H):
     """Return bounds, for times up to H, of a growing block's contribution q to a signal and of three derivatives.
 
-    q0, q1        q and q' at the start; slow < 0
+    A block is a decoupled equation of motion; it grows if slow < 0.
+
+    q0, q1        q and q' at the start
     size0, size1  sums of moduli of the terms of q and q'
     pull          contribution of the load to q''
 
@@ -235,7 +246,7 @@ def growth_rate(blocks):
 
 @kernel
 def bounds_while_growing(blocks, numbers, h, H):
-    """Return ``derivative_bounds`` of a signal of a mode in which a block, one of its decoupled equations, grows."""
+    """Return ``derivative_bounds`` of a signal if a block, one of the decoupled equations of motion, grows."""
     M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
     for j in range(len(blocks)):
         block = blocks[j]
@@ -257,7 +268,10 @@ def bounds_while_growing(blocks, numbers, h, H):
 
 @inlined
 def bounds_of(block, h0, h1):
-    """Return ``block_bounds`` of a block that does not grow, a row of GuardedFlow.blocks, in the state (h0, h1)."""
+    """Return ``block_bounds`` of a decoupled equation that does not grow, in the state (h0, h1).
+
+    ``block`` are its constants, a row of GuardedFlow.blocks.
+    """
     load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
     q0 = c0 * h0 + c1 * h1
     q1 = block[COLUMN.cA0] * h0 + block[COLUMN.cA1] * h1 + c1 * load

@@ -46,9 +46,10 @@ def to_sticking(oscillator, h, V, harmonics, z, W, u, U):
 
 @kernel
 def from_sticking(oscillator, u, U, harmonics, side, z, W, h, V):
-    """Write block state h (n, 2) and tangent vectors V (m, n, 2) in flight, from u and U of a mass that sticks.
+    """Write state h (n, 2) and tangent vectors V (m, n, 2) in flight, from u and U of a mass that sticks.
 
-    This is the inverse of ``to_sticking``.
+    All are in coordinates of the decoupled equations: h and V of those in flight, u and U of those while the mass
+    sticks. This is the inverse of ``to_sticking``.
     """
     sticking, n = oscillator.sticking, h.shape[0]
     u[n - 1, 0] = stop_position(oscillator, side)
@@ -89,8 +90,9 @@ def level_on_stop(oscillator, side):
 
 @kernel
 def load_on_stop(oscillator, u, harmonics, side):
-    """Return the force that presses the sticking mass on the stop of this side, +-1, from its block state u (n, 2).
+    """Return the force that presses the sticking mass on the stop of this side, +-1.
 
+    u (n, 2)          state of the decoupled equations that hold while the mass sticks
     harmonics (H, 2)  sine and cosine of the harmonics of the force, see state.harmonics_at
     """
     sticking = oscillator.sticking
@@ -101,13 +103,15 @@ def load_on_stop(oscillator, u, harmonics, side):
 
 @inline_always
 def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
-    """Advance h and V in place while the mass sticks on a stop: until the load falls to zero, or for H.
+    """Advance a mass that sticks on a stop until the load falls to zero, at most for the time H.
 
+    h (n, 2), V       state of the decoupled equations, and tangent vectors, changed in place
     growth, triangle  see tangent.orthonormalise; empty if the vectors stay as they are
     phase             forcing phase at the start
     side              side of the stop, +-1
 
-    Return (time, released, evaluations); ``released`` is 2 if the march gave up.
+    Return (time, released, evaluations); ``released`` is 1 if the load falls to zero, else 0, and 2 if the search gave
+    up.
     """
     h, V = borrow(h), borrow(V)
     sticking, n = oscillator.sticking, h.shape[0]

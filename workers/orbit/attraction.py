@@ -35,7 +35,7 @@ MAX_DOUBLINGS = 30
 
 @inline_always
 def deviation(h, fixed):
-    """Return the difference h - fixed of two block states (n, 2) as a vector (2n,)."""
+    """Return the difference h - fixed of two states (n, 2) of the decoupled equations of motion as a vector (2n,)."""
     d = np.empty(h.size)
     for k in range(h.size):
         d[k] = h[k // 2, k % 2] - fixed[k // 2, k % 2]
@@ -58,12 +58,11 @@ def add_product(target, left, right):
 def shrinking_norm(blocks, J, contraction):
     """Return the matrix P (2n, 2n) of a norm sqrt(d.P d) in which J (2n, 2n) shrinks every deviation d.
 
-    P is NaN if no such norm is found. ``blocks`` are constants of the decoupled equations, whose energy norm is the
-    start.
+    P is NaN if no such norm is found. ``blocks`` are constants of the decoupled equations of motion, whose energy norm
+    is the start. ``contraction`` is 1 - |mu|, with mu the multiplier of J of largest modulus.
 
-    mu|.|contraction = 1 - |mu|, with mu the multiplier of J of largest modulus.|mu|.
-
-    The sum to 2K is P + (A^K)' P A^K: all terms are squares, so there is no cancellation.
+    For the sum over k < K see the head of this module. The sum to 2K is P + (A^K)' P A^K: all terms are squares, so
+    there is no cancellation.
     """
     size = len(J)
     weight, A, P = np.empty(size), np.empty((size, size)), identity(size)
@@ -99,10 +98,11 @@ def squared(P, d):
 
 @external(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
-    """Return True if one turn of a motion, from block state h to ``image``, passes the test of convergence to an orbit.
+    """Return True if one turn of a motion, from state h to ``image``, passes the test of convergence to an orbit.
 
-    The orbit passes through ``fixed`` = h*, with linear map J and contraction 1 - |mu|. The states are (n, 2). The test
-    is |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as returned by ``shrinking_norm``.
+    The orbit passes through ``fixed`` = h*, with linear map J and contraction 1 - |mu|. The states (n, 2) are those of
+    the decoupled equations. The test is |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as
+    returned by ``shrinking_norm``.
     """
     P, J, fixed, h, image = by_value(P), by_value(J), by_value(fixed), by_value(h), by_value(image)
     d, r = deviation(h, fixed), deviation(image, fixed)
@@ -114,12 +114,11 @@ def falls_into(P, J, contraction, fixed, h, image):
 
 @external(FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
 def stays_nearer(blocks, P, J, fixed, h, begun):
-    """Return True if a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and stays so.
+    """Return True if a motion at state h (n, 2) is nearer to an orbit than ``begun``, and stays nearer.
 
     Future turns are those of the linear map J. Distances from the state ``fixed`` on the orbit are in the energy norm
-    of ``blocks``.
-
-    This is certain once the deviation is smaller in the norm of P, which never grows and is the larger of the two.
+    of ``blocks``, the decoupled equations of motion. The result is certain once the deviation is smaller in the norm of
+    P, which never grows and is the larger of the two.
     """
     blocks, P, J = by_value(blocks), by_value(P), by_value(J)
     fixed, h = by_value(fixed), by_value(h)

@@ -23,7 +23,7 @@ forever."""
 
 @kernel
 def future_of(blocks, numbers, h, offset, low, high):
-    """Return where a signal certainly stays for ever, from block state h (n, 2) on.
+    """Return where a signal certainly stays for ever, from state h (n, 2) of the decoupled equations on.
 
     The result is BEHIND, INSIDE, or REACHED if the future is uncertain.
 
@@ -84,7 +84,8 @@ def future_of(blocks, numbers, h, offset, low, high):
 def escaping(oscillators, motions, cells):
     """Return the mask of the motions at t = k T that certainly grow to infinity without another event.
 
-    Of the machines with modes, only those with one phase are decided; others are False.
+    A machine with modes, sets of linear equations, is decided only if its constants are the same in the whole forcing
+    period; others are False.
     """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     escapes = np.zeros(len(cells), dtype=np.bool_)
@@ -104,8 +105,7 @@ def escaping(oscillators, motions, cells):
 def escapes_in_modes(oscillator, h, mode):
     """Return True if a growing motion certainly never leaves its mode, the set of linear equations that holds now.
 
-    It then reaches no end of a signal of the mode. Return False if phases, parts of the forcing period, change the
-    mode.
+    No event then ends the mode. Return False if phases, parts of the forcing period, change the mode.
     """
     table, pieces, at = oscillator.table, oscillator.table.pieces, np.zeros(h.shape)
     k = slot_of(table.codes, mode)

@@ -68,9 +68,10 @@ def spread_of(logs, ends):
 
 @kernel
 def block_logs(rotation, growth, triangle, ends, size):
-    """Return ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest of their moduli.
+    """Return ln|eigenvalues| of the matrix rotation diag(exp(growth)) triangle, and the largest of their moduli.
 
-    The products are scaled against overflow. Missing eigenvalues up to ``size`` are -infinity: lost directions.
+    They are found for each diagonal block alone; ``ends`` are the indices at which the blocks end. The products are
+    scaled against overflow. Missing eigenvalues up to ``size`` are -infinity: lost directions.
     """
     logs = np.full(size, -np.inf)
     largest, start = 0.0, 0

@@ -39,10 +39,12 @@ SETTLED_CHANGE, BOUNDED = 1e-12, 1e3
 
 @inline_always
 def meets_nothing(oscillator, h, mode):
-    """Return True if a motion certainly never meets a contact, and no phase changes its law of motion.
+    """Return True if a motion certainly never meets a contact, and its law does not change within the forcing period.
 
-    h (n, 2) and mode are its block state and the number of its mode. The result is True for a machine without contacts
-    and friction. A phase is a part of the forcing period with constants of its own.
+    h (n, 2)  state of the decoupled equations of motion
+    mode      number of the mode, the set of linear equations that holds
+
+    The result is True for a machine without contacts and friction, whose law may change within the period.
     """
     table, pieces, n = oscillator.table, oscillator.table.pieces, h.shape[0]
     C, F, P = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.elements.starts.shape[0] - 1
@@ -82,7 +84,7 @@ def contact_free(oscillators, motions, cells):
 
 
 class AffineMaps(NamedTuple):
-    """The maps z -> J z + c of E motions over one period, from block states (E, n, 2).
+    """The maps z -> J z + c of E motions over one period, from states (E, n, 2) of the decoupled equations.
 
     images     (E, n, 2)    images of the states
     jacobians  (E, 2n, 2n)  J
@@ -106,8 +108,8 @@ class AffineMaps(NamedTuple):
 def affine_maps(oscillators, mode, states, cells, cycles):
     """Return the fields of AffineMaps: the map of one period, and its multipliers, at states (E, n, 2) of these cells.
 
-    oscillators, mode  machines, and numbers of the modes of their motions
-    states             (E, n, 2) block states
+    oscillators, mode  machines, and numbers of the modes (sets of linear equations) that hold
+    states             (E, n, 2) states of the decoupled equations
     cells              rows of the machines
     cycles             maximum number of periods simulated for the multipliers
     """
@@ -171,11 +173,12 @@ def linear_orbits(oscillators: Oscillator, motions: Motion, cells: Rows, orbits:
 def rates_if_undamped(oscillators: Oscillator, r: int, mode: int, logs: Array) -> float:
     """Write the exact logarithms of the multipliers of an undamped motion to ``logs``, and return their error.
 
-    A motion is undamped if a block, a decoupled equation, of its mode has no damping and no phase changes the mode. For
+    r     row of the machine
+    mode  number of the mode, the set of linear equations that holds
+
+    A motion is undamped if a decoupled equation has no damping and the mode holds in the whole forcing period. For
     other motions ``logs`` stays unchanged and the error is infinity. Two multipliers that meet at 1, as of a free mass,
     would be known from the map only to the square root of rounding.
-
-    ``r`` is the row of the machine, ``mode`` the number of the mode.
     """
     table, (slots,) = oscillators.table, np.nonzero(oscillators.table.codes[r] == mode)
     blocks = table.pieces.blocks[r, slots[:1], 0].reshape(-1, len(COLUMN))
@@ -187,7 +190,7 @@ def rates_if_undamped(oscillators: Oscillator, r: int, mode: int, logs: Array) -
 
 
 def where_it_stays(J: Array, base: Array, image: Array, h: Array) -> Array:
-    """Return the limit of block state h (n, 2) if the map z -> J z + c, which takes ``base`` to ``image``, is repeated.
+    """Return the limit of state h (n, 2) if the map z -> J z + c, which takes ``base`` to ``image``, is repeated.
 
     The largest modulus of the multipliers of J is one. Return h itself if the motion continues forever, and NaN if it
     is unbounded, as for a free mass that moves.

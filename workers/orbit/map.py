@@ -36,10 +36,11 @@ class FixedPoint(NamedTuple):
 
 @kernel
 def iterate(oscillator, h, mode, V, growth, triangle, steps, half):
-    """Return the motion after ``steps`` steps of the map, from block state h (n, 2) in the mode of this number.
+    """Return the motion after ``steps`` steps of the map, from state h (n, 2) in the mode of this number.
 
-    A step is one period, or with ``half`` the half-period map. V, growth and triangle are the tangent vectors to carry,
-    see Motion. The status of the motion is not RUNNING if the motion cannot be followed.
+    The mode is the set of linear equations of motion that holds, and h the state of its decoupled equations. A step is
+    one period, or with ``half`` the half-period map. V, growth and triangle are the tangent vectors to carry, see
+    Motion. The status of the motion is not RUNNING if the motion cannot be followed.
     """
     motion = motion_with(h, mode, V, growth, triangle)
     for _ in range(steps):
@@ -53,9 +54,9 @@ def iterate(oscillator, h, mode, V, growth, triangle, steps, half):
 
 @kernel
 def iterate_alone(oscillator, h, mode, steps, half):
-    """Return the motion after ``steps`` steps of the map from block state h (n, 2), without tangent vectors.
+    """Return the motion after ``steps`` steps of the map from state h (n, 2), without tangent vectors; see iterate.
 
-    See iterate.
+    h is the state of the decoupled equations of motion, (h, h') of each.
     """
     return iterate(oscillator, h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
 
@@ -72,7 +73,10 @@ def jacobian_of(V):
 
 @kernel
 def map_with_jacobian(oscillator, h, mode, steps, half):
-    """Return the motion after ``steps`` steps of the map from block state h, and the Jacobian (2n, 2n); see iterate."""
+    """Return the motion after ``steps`` steps of the map from state h (n, 2), and the Jacobian (2n, 2n) of the map.
+
+    h is the state of the decoupled equations of motion, (h, h') of each. See iterate.
+    """
     motion = iterate(oscillator, h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
     return motion, jacobian_of(motion.V)
 
@@ -88,7 +92,10 @@ def squares(values):
 
 @kernel
 def separation(blocks, h, g):
-    """Return the distance of two block states h and g (n, 2), the energy norm of their difference; see Block.metric."""
+    """Return the distance of two states h and g (n, 2): the energy norm of their difference, see Block.metric.
+
+    The states are those of the decoupled equations of motion.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total += blocks[j, COLUMN.metric] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2

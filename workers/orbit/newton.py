@@ -51,7 +51,7 @@ PROVED: a stable orbit that is."""
 class PeriodicOrbit(NamedTuple):
     """A closed orbit of m steps of the map, with its multipliers.
 
-    h          (n, 2) block state on the orbit, at t = k T
+    h          (n, 2) state of the decoupled equations on the orbit, at t = k T
     mode       number of the mode there, the set of linear equations that holds
     steps      m
     half       True if a step is half a period (map G)
@@ -69,10 +69,10 @@ class PeriodicOrbit(NamedTuple):
 
 @kernel
 def newton_step(h, image, J):
-    """Return the block state (n, 2) after one step of Newton's method for a fixed point of a map F, from h (n, 2).
+    """Return the state (n, 2) after one step of Newton's method for a fixed point of a map F, from state h (n, 2).
 
     It is h - (J - I)^-1 (F(h) - h), with ``image`` = F(h) and J (2n, 2n) the Jacobian. It is not finite if J - I is
-    singular.
+    singular. The states are those of the decoupled equations of motion.
     """
     matrix, better = J.copy(), h.copy()
     for k in range(len(J)):
@@ -94,14 +94,14 @@ def is_hopeless(J):
 
 @inline_always
 def newton(oscillator, start, mode, steps, half, scale, limit):
-    """Return a FixedPoint of the map near block state ``start``, to rounding, and the number of Newton steps.
+    """Return a FixedPoint of the map near a state ``start`` (n, 2), to rounding, and the number of Newton steps.
 
     steps, half  number of steps of the map; a step is a period, or with ``half`` the half-period map
     scale        size of the motion, see scale_of
     limit        maximum number of Newton steps
 
-    h <- h - (J - I)^-1 (F(h) - h) is repeated until the residual stops falling. The residual must end below 1e-10 of
-    ``scale``; without a fixed point it is infinite.
+    The states are those of the decoupled equations of motion. h <- h - (J - I)^-1 (F(h) - h) is repeated until the
+    residual stops falling. The residual must end below 1e-10 of ``scale``; without a fixed point it is infinite.
     """
     h = start.copy()
     blocks = oscillator.gap.blocks
@@ -151,7 +151,7 @@ def least_turn(oscillator, point, steps, half, scale):
 
 @inline_always
 def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
-    """Return True if a motion at block state h (n, 2) surely converges to an orbit, and the number of turns simulated.
+    """Return True if a motion at state h (n, 2) surely converges to an orbit, and the number of turns simulated.
 
     point        fixed point of the orbit
     steps, half  its turn: number of steps, each a period or with ``half`` the half-period map
@@ -159,8 +159,8 @@ def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
     scale        size of the motion
     limit        maximum number of turns
 
-    Every turn must pass the test of ``orbit.attraction`` until the motion stays nearer to the orbit, and in one more
-    turn. A motion that reaches the orbit passes as well.
+    h is the state of the decoupled equations of motion. Every turn must pass the test of ``orbit.attraction`` until the
+    motion stays nearer to the orbit, and in one more turn. A motion that reaches the orbit passes as well.
     """
     blocks, norm = oscillator.gap.blocks, shrinking_norm(oscillator.gap.blocks, point.jacobian, contraction)
     begun, at, nearer = separation(blocks, h, point.h), h, False
@@ -178,11 +178,11 @@ def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
 
 @inline_always
 def find_orbit(oscillator, h, mode, steps, half, scale, budget):
-    """Return (verdict, PeriodicOrbit, half periods spent) of the periodic orbit near block state h (n, 2).
+    """Return (verdict, PeriodicOrbit, half periods spent) of the periodic orbit near a state h (n, 2).
 
-    The verdict is NO_ORBIT, UNPROVED or PROVED, see ``settle``. At most ``budget`` half periods are simulated. The
-    orbit closes after ``steps`` or a divisor of this number. A step is a period, or with ``half`` the half-period map.
-    ``scale`` is the size of the motion.
+    h is the state of the decoupled equations of motion. The verdict is NO_ORBIT, UNPROVED or PROVED, see ``settle``. At
+    most ``budget`` half periods are simulated. The orbit closes after ``steps`` or a divisor of this number. A step is
+    a period, or with ``half`` the half-period map. ``scale`` is the size of the motion.
     """
     guess, spent = h, 0
     while True:
@@ -226,7 +226,7 @@ def find_orbit(oscillator, h, mode, steps, half, scale, budget):
 def recurrence(blocks, sections, near, longest):
     """Return the numbers of periods after which a motion nearly returned to its last state, the closest return first.
 
-    sections  (K, n, 2) its block states at the last instants t = k T
+    sections  (K, n, 2) its states of the decoupled equations at the last instants t = k T
     near      largest distance of a return, in the energy norm of ``blocks``
     longest   maximum number of periods p
 
@@ -251,7 +251,7 @@ def recurrence(blocks, sections, near, longest):
 def far_from_closing(blocks, h, sections, cells, returns, limit):
     """Return the mask of the cells whose motion has not come near its last state in the last ``returns`` periods.
 
-    h         (N, n, 2) block states, for the sizes of the motions
+    h         (N, n, 2) states of the decoupled equations, for the sizes of the motions
     sections  (N, K, n, 2) block states at the last instants t = k T
     limit     largest distance of a return, relative to the size of the motion
 
@@ -272,7 +272,7 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 def settle(oscillator, motion, sections, near, longest, budget):
     """Return (verdict, PeriodicOrbit, shift, periods spent) of the stable periodic orbit to which a motion converges.
 
-    sections  (K, n, 2) its block states at the last instants t = k T
+    sections  (K, n, 2) its states of the decoupled equations at the last instants t = k T
     near      largest distance of a return, relative to the size of the motion
     longest   maximum number of periods of a return
     budget    maximum number of periods to simulate
@@ -314,7 +314,7 @@ def settle(oscillator, motion, sections, near, longest, budget):
 class PeriodicOrbits(NamedTuple):
     """Periodic orbits of N cells: the fields of PeriodicOrbit needed in results, and the counts of one turn.
 
-    h          (N, n, 2) block states at t = k T, after any impact at that time
+    h          (N, n, 2) states of the decoupled equations at t = k T, after any impact at that time
     mode       (N, 1) numbers of the modes there, the sets of linear equations that hold
     period     (N,) number of forcing periods of a turn
     symmetric  (N,) mask of symmetric orbits
@@ -337,7 +337,10 @@ class PeriodicOrbits(NamedTuple):
 
 
 def no_orbits(count: int, n: int) -> PeriodicOrbits:
-    """Return empty orbits of ``count`` cells of n blocks, to be filled in."""
+    """Return PeriodicOrbits of ``count`` cells to be filled in, with all numbers 0 and period 1.
+
+    n  number of blocks, the decoupled equations of motion
+    """
     return PeriodicOrbits(
         h=np.zeros((count, n, 2)),
         mode=np.full((count, 1), FLIGHT),
@@ -355,7 +358,8 @@ def no_orbits(count: int, n: int) -> PeriodicOrbits:
 def settle_cells(oscillators, motions, sections, counts, near, longest, budgets, cells, orbits, spent):
     """Find and prove the stable periodic orbits to which these cells converge, see ``settle``.
 
-    sections  (N, K, n, 2) block states at the last instants t = k T, of which the last ``counts`` (N,) are known
+    sections  (N, K, n, 2) states of the decoupled equations at the last instants t = k T
+    counts    (N,) number of these states that are known, the last ones
     near      (N,) largest distance of a return, relative to the size of the motion
     longest   maximum number of periods of a return
     budgets   (N,) maximum number of periods to simulate

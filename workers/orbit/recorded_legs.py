@@ -23,7 +23,7 @@ AT_REST = 1e-10
 class RecordedLeg(NamedTuple):
     """One leg: the motion in one mode, a set of linear equations, and the event that begins it.
 
-    time    time of the event after the first section
+    time    time of the event since the start
     signal  signal that reaches an end of its range; -1 if the phase changes or the motion begins
     side    end that the signal reaches, -1 or 1; 0 if the phase changes or the motion begins
     rate    rate of change of the signal at the event
@@ -95,8 +95,8 @@ def mode_code_of_state(elements: ContactElements, z: Array) -> ModeCode:
 
     elements  contacts and frictions of one machine, in a batch
 
-    The mode, the set of equations that holds, is one of the machine's first phase. A state that rests or sticks up to
-    rounding counts as resting or sticking.
+    The mode, the set of equations that holds, is one of the machine's first phase, a part of the forcing period. A
+    state that rests or sticks up to rounding counts as resting or sticking.
     """
     n = len(z) // 2
     x, v = z[:n], z[n:]
@@ -130,7 +130,7 @@ def _one_period(
     """Advance a motion of one oscillator by a period, from a state (2n,) in the mode of this number.
 
     Return the legs of the period, the parts between two events; the state and the mode's number after it; and the
-    number of evaluations. Modes missing from the ``table`` are built.
+    number of evaluations. A mode is a set of linear equations. Modes missing from the ``table`` are built.
     """
     legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
     W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))

@@ -44,7 +44,7 @@ def pass_period(oscillator, motion, rests):
 def is_followed(oscillator, h, mode, periods):
     """Return True if doubles can follow an orbit that comes to rest on a stop from a release to the next rest.
 
-    h, mode  (n, 2) block state and number of the mode on the orbit
+    h, mode  (n, 2) state of the decoupled equations and number of the mode (set of linear equations) on the orbit
     periods  period of the orbit
 
     Disturbances at a release must grow less than FOLLOWED times until the next rest.
@@ -66,7 +66,7 @@ def rest_to_rest(oscillators, motions, cells, sections, counts):
     oscillators  N machines
     motions      batch of their motions
     cells        rows of the motions to advance
-    sections     (N, K, n, 2) written: block states at t = k T between the two releases, at the end of each row
+    sections     (N, K, n, 2) written: states at t = k T between the two releases, at the end of each row
     counts       (N,) written: number of these states
 
     ``counts`` is 0 if a motion does not repeat a release in K - 1 periods. It is also 0 if a disturbance grows FOLLOWED

@@ -46,7 +46,7 @@ def mode_of(table, states, slips, phase_index):
     table        the modes built so far
     states (C,)  state of each contact
     slips (F,)   state of each friction: 0 while it sticks, else the sign of the slip
-    phase_index  phase of the machine
+    phase_index  phase of the machine, a part of the forcing period with constants of its own
 
     A mode is one set of linear equations between two events. Its number encodes phase, contacts and slips, see
     ``hybrid_modes.ModeCode``. Its slot is its index in the table. The slot is negative if the mode cannot be used:
@@ -140,8 +140,9 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
 def go_on(signal_starts, g, side):
     """Let signal g begin the next mode at the end ``side`` of its range, with the rate that it has now; nothing jumps.
 
-    The start is written to ``signal_starts``. If the signal also left the mode before it in no time, rounding hides its
-    derivatives and the start is UNCLEAR. Otherwise a signal at rest on its end would change the mode for ever.
+    The start is written to ``signal_starts``. If the signal also left the mode (set of linear equations) before it in
+    no time, rounding hides its derivatives and the start is UNCLEAR. Otherwise a signal at rest on its end would change
+    the mode for ever.
     """
     signal_starts[g] = side * (UNCLEAR if signal_starts[g] * side < 0 else 1)
 
@@ -154,8 +155,8 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
     z (2n,)    physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
 
     Friction that stops sliding sticks if it can, else it slides the other way. Nothing jumps between segments. Return
-    the slot and the number of the mode with sticking friction, see ``mode_of``. A negative slot means that this mode
-    must be built before the event can be decided.
+    index and number of the mode with sticking friction, see ``mode_of``; a mode is a set of linear equations. A
+    negative index means that the mode must be built before the event can be decided.
     """
     elements, sign = table.elements, 1 if slips[e] > 0 else -1
     if slips[e] != 0 and (slips[e] != sign or side == sign):  # the next or the previous segment of a law
@@ -222,7 +223,7 @@ def soft_event(g, c, side, states, signal_starts):
 def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, phase, harmonics, signal_starts):
     """Pass an impact on a rigid contact: the state jumps. Return the outcome, and the remaining time of a chatter.
 
-    k, g         index of the mode before the impact, and its signal that reached the stop
+    k, g         index of the mode (set of linear equations) before the impact, and its signal that reached the stop
     c, side      the contact and the side of its stop
     rate         velocity of the gap coordinate y
     h (n, 2)     block state, (h, h') of each decoupled equation of the mode

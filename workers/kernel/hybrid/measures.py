@@ -155,13 +155,13 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
 
 @kernel
 def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
-    """Correct the measures of a leg that begins with the last hops of a chatter, in ``reading`` in place.
+    """Correct the measures of the motion between two events if it begins with the last hops of a chatter, in place.
 
-    The leg was measured as if the mass had rested on the stop from its start. The hops start at block state h (n, 2)
-    and last for ``chatter``. Their time is taken from the sticking times of contact c and of friction. While it hops,
-    the mass flies in mode ``before``, with another acceleration than in mode k. The difference is integrated by
-    Simpson's rule. An extreme lies at the end, or at the rebound from the impact at the velocity ``rate``, with which
-    sticking begins.
+    The measures in ``reading`` are as if the mass had rested on the stop from the start. The hops start at state h (n,
+    2) of the decoupled equations and last for ``chatter``. Their time is taken from the sticking times of contact c and
+    of friction. While it hops, the mass flies in mode ``before``, with another acceleration than in mode k (a set of
+    linear equations). The difference is integrated by Simpson's rule. An extreme lies at the end, or at the rebound
+    from the impact at the velocity ``rate``, with which sticking begins.
     """
     n, along = len(h), elements.along
     reading.touching[c] -= chatter
@@ -196,9 +196,11 @@ def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, 
 
     phase_index     phase of the machine, a part of the forcing period with constants of its own
     c, side, state  the contact, the side of its stop, and its state without that side's sign, see hybrid_modes.ON
-    h (n, 2)        block state at the start of the leg, the motion in mode k between two events
+    h (n, 2)        state of the decoupled equations at the start
     phase           forcing phase at the start
     s               duration of the leg
+
+    A leg is the motion between two events, in one mode k, a set of linear equations.
     """
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
     n, pushes = len(row), state % 2 != 0
@@ -253,6 +255,8 @@ def read_impact(elements, reading, c, end, following, counts):
 @kernel
 def read_leg(table, meter, reading, before, leg, signal, following, begins, marks, flies, tally):
     """Add what is measured on one leg, the motion in one mode between two events, to ``reading`` in place.
+
+    A mode is a set of linear equations.
 
     table           ModeTable of the machine
     meter, reading  MeasurePlan and MeasureTotals of the machine
@@ -363,7 +367,7 @@ def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
 
 @kernel
 def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
-    """Advance a motion by ``duration``, at most a period, and add what is measured on its legs to ``reading``.
+    """Advance a motion by ``duration``, at most a period, and add what is measured to ``reading``.
 
     State z (2n,) and the number of its mode in code (1,) change in place; see ``read_leg``. If a mode (a set of linear
     equations) is not built yet, the motion stays unchanged and nothing is added.
@@ -382,11 +386,10 @@ def read_motions(oscillators, meters, readings, states, codes, completed, period
 
     oscillators        batch of machines
     meters, readings   MeasurePlan and MeasureTotals of the machines
-
     states    (N, 2n)  displacements, then velocities, changed in place
     codes     (N, 1)   numbers of their modes, the sets of linear equations that hold, changed in place
     completed (N,)     number of periods completed, of ``periods`` (N,); changed in place
-    closes    (N,)     1 if the periods are one turn of an orbit, where an impact at the section counts once
+    closes    (N,)     1 if the periods are one turn of an orbit, where an impact at its ends counts once
     allowance (N,)     number of evaluations allowed, changed in place
     cells              rows to advance, of machines with modes
 

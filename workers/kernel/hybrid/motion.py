@@ -60,7 +60,9 @@ def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
     result=types.boolean, modes=True,
 )  # fmt: skip
 def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
-    """Advance machine r to the first event of its current leg, the motion in one mode, and pass the event.
+    """Advance machine r to its next event, the end of its current leg, and pass the event.
+
+    A leg is the motion between two events.
 
     ``trajs`` is a batch of trajectories, with that of the machine in row ``slot``. Return True if the trajectory is
     over. Return False if it continues, or if it cannot be followed. For the arguments see ``through_modes``.
@@ -164,7 +166,7 @@ def load_motion(to_physical, motion, traj, more):
 
 @kernel
 def store_motion(to_blocks, omega, motion, traj, more, resets):
-    """Copy the end of a trajectory back into its motion, in block coordinates; undo ``load_motion``.
+    """Copy the end of a trajectory back into its motion, as states of the decoupled equations; undo ``load_motion``.
 
     omega   forcing frequency
     resets  True to reset a drifting coordinate to 0

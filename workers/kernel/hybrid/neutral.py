@@ -18,7 +18,7 @@ def remove_held_motion(elements, states, lost, V):
 
     elements    contacts and frictions of the machine
     states (C,) states of the contacts
-    lost        number of dimensions that the mode lacks, since coordinates stick
+    lost        number of dimensions that the mode (set of linear equations) lacks, since coordinates stick
 
     The last blocks, decoupled equations, are those of coordinates that stick on a stop, then of sticking friction, see
     ``hybrid_modes``.
@@ -52,9 +52,8 @@ def record_slips(slips, tally):
 def freeze(oscillator, motion):
     """Remove from the tangent vectors of a motion, in place, the position of friction that has never slid.
 
-    This position is a parameter of the motion.
-
-    Such friction could stick anywhere nearby. The direction is neutral, with multiplier 1, and counts as lost.
+    This position is a parameter of the motion, since such friction could stick anywhere nearby. The direction is
+    neutral, with multiplier 1, and counts as lost.
     """
     table, elements = oscillator.table, oscillator.table.elements
     n, m = motion.h.shape[0], motion.V.shape[0]
@@ -104,7 +103,7 @@ def count_progress(motion, h, omega):
     """Add the advance of the drifting coordinate over a period to a motion's counts, and reset the coordinate to 0.
 
     motion  motion at the start of the period; counts and tangent vectors change
-    h       (n, 2) block state at its end, changed in place
+    h       (n, 2) state of the decoupled equations at its end, changed in place
     omega   forcing frequency
 
     For the drift see Oscillator.

@@ -89,7 +89,9 @@ def output_row(modes, k, row, order):
     """Return an output in mode k as a row (2n + 1,) on (x, v, 1), and what the force adds to the output (H, 2).
 
     row   (n,)  weights of the output on the displacements x, or on their derivatives
-    order       order of the derivative: 0 for x, 1 for v, 2 for the acceleration in the mode
+    order       order of the derivative: 0 for x, 1 for v, 2 for the acceleration
+
+    The mode, a set of linear equations, decides the acceleration.
     """
     n = len(row)
     full, direct = np.zeros(2 * n + 1), np.zeros(modes.direct.shape[2:])
@@ -108,6 +110,8 @@ def output_row(modes, k, row, order):
 @kernel
 def extremes(modes, k, row, direct, h, phase, s, tally):
     """Return the least and the greatest value of an output in a flight of duration s in mode k.
+
+    A mode is a set of linear equations of motion.
 
     row, direct  the output, see ``mode_with``
     h (n, 2)     block state at the start, (h, h') of each decoupled equation

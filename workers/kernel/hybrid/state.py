@@ -25,7 +25,7 @@ ROW_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 def number_of(elements, states, slips, phase_index):
     """Return the number that encodes a mode: its phase, the states of its contacts and the slips of its frictions.
 
-    For the code see hybrid_modes.ModeCode.
+    A mode is one set of linear equations of motion. For the code see hybrid_modes.ModeCode.
     """
     number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for state in states:
@@ -39,7 +39,7 @@ def number_of(elements, states, slips, phase_index):
 def read_number(elements, number, states, slips):
     """Decode the number of a mode: write its states of contacts (C,) and slips of frictions (F,), and return its phase.
 
-    For the code see hybrid_modes.ModeCode.
+    A mode is one set of linear equations of motion. For the code see hybrid_modes.ModeCode.
     """
     half, most = 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for f in range(len(slips) - 1, -1, -1):
@@ -71,7 +71,10 @@ def slip_of(elements, e, sliding):
 
 @inline_always
 def slot_of(codes, number):
-    """Return the slot, the index among the modes built so far, of the mode of this number; -1 if it is not built."""
+    """Return the index, among the modes built so far, of the mode with this number; -1 if it is not built.
+
+    A mode is one set of linear equations of motion; ``codes`` are the numbers of those built.
+    """
     for k in range(len(codes)):
         if codes[k] == number:
             return k
@@ -110,7 +113,10 @@ def wave(parts, harmonics):
 
 @inlined
 def guard_value(modes, k, g, z, harmonics):
-    """Return the value of signal g of mode k at a physical state z (2n,), and the sum of the moduli of its terms."""
+    """Return the value of signal g of mode k at a physical state z (2n,), and the sum of the moduli of its terms.
+
+    A mode is one set of linear equations of motion, and an event is a signal at an end of its range.
+    """
     row = modes.rows[k, g]
     value, _ = wave(modes.direct[k, g], harmonics)
     size = abs(value) + abs(row[len(z)])
@@ -125,7 +131,8 @@ def guard_value(modes, k, g, z, harmonics):
 def guard_rate(modes, k, g, f, omega, harmonics):
     """Return the rate of change of signal g of mode k, for a state that changes at the rates f (2n,).
 
-    ``modes`` is the table of modes, ``omega`` the forcing frequency. For ``harmonics`` see ``harmonics_at``.
+    ``modes`` is the table of modes (sets of linear equations), ``omega`` the forcing frequency. An event is a signal at
+    an end of its range. For ``harmonics`` see ``harmonics_at``.
     """
     row = modes.rows[k, g]
     _, rate = wave(modes.direct[k, g], harmonics)
@@ -150,10 +157,10 @@ def right_hand_side(modes, k, z, harmonics, f):
 
 @inlined
 def enter(modes, k, z, W, harmonics, h, V):
-    """Convert a physical state z (2n,) and tangent vectors W (m, 2n) to block coordinates of mode k.
+    """Convert a physical state z (2n,) and tangent vectors W (m, 2n) to coordinates of decoupled equations of mode k.
 
-    Write them to h (n, 2) and V (m, n, 2). The forced response is left out of h. For ``harmonics`` see
-    ``harmonics_at``.
+    Write them to h (n, 2) and V (m, n, 2). The forced response is left out of h. A mode is one set of linear equations
+    of motion. For ``harmonics`` see ``harmonics_at``.
     """
     matrix, blocks, forced = modes.to_blocks[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
@@ -168,9 +175,10 @@ def enter(modes, k, z, W, harmonics, h, V):
 
 @inlined
 def leave(modes, k, h, V, harmonics, z, W):
-    """Convert a state h (n, 2) and tangent vectors V (m, n, 2) in block coordinates of mode k to physical ones.
+    """Convert a state h (n, 2) and tangent vectors V (m, n, 2) of the decoupled equations of mode k to physical ones.
 
-    Write them to z (2n,) and W (m, 2n). This is the inverse of ``enter``.
+    Write them to z (2n,) and W (m, 2n). A mode is one set of linear equations of motion. This is the inverse of
+    ``enter``.
     """
     matrix, blocks, forced = modes.to_physical[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
@@ -185,9 +193,10 @@ def leave(modes, k, h, V, harmonics, z, W):
 
 @inline_always
 def enter_from_section(oscillator, k, h, at):
-    """Convert the block state h (n, 2) that a motion has at t = k T to block coordinates ``at`` (n, 2) of mode k.
+    """Convert a state h (n, 2) at t = k T to a state ``at`` (n, 2) of the decoupled equations of mode k.
 
-    At t = k T, a section, block coordinates are the same in all modes, see Oscillator.
+    A mode is one set of linear equations of motion. States at t = k T, a section, are in the same decoupled coordinates
+    in all modes, see Oscillator.
     """
     n = h.shape[0]
     z = np.empty((1, 2 * n))
@@ -198,7 +207,10 @@ def enter_from_section(oscillator, k, h, at):
 
 @inlined
 def enter_frame(matrix, W, V):
-    """Multiply tangent vectors W (m, 2n) by a matrix (2n, 2n), and write them as vectors in blocks V (m, n, 2)."""
+    """Multiply physical tangent vectors W (m, 2n) by a matrix (2n, 2n), and write the products to V (m, n, 2).
+
+    V are tangent vectors of n decoupled equations.
+    """
     for e in range(len(V)):
         for i in range(len(matrix)):
             V[e, i // 2, i % 2] = product(matrix[i], W[e], 0)
@@ -206,7 +218,10 @@ def enter_frame(matrix, W, V):
 
 @inlined
 def leave_frame(matrix, V, W):
-    """Multiply tangent vectors V (m, n, 2) in blocks by a matrix (2n, 2n); write them as physical vectors W (m, 2n)."""
+    """Multiply tangent vectors V (m, n, 2) by a matrix (2n, 2n), and write the products to W (m, 2n).
+
+    V are tangent vectors of n decoupled equations, W physical ones: displacements, then velocities.
+    """
     for e in range(len(V)):
         for i in range(len(matrix)):
             W[e, i] = product_of_blocks(matrix[i], V[e])
@@ -232,7 +247,7 @@ def product(row, z, first):
 
 @inlined
 def product_of_blocks(row, h):
-    """Return the product of a row (2n,) with a block state h (n, 2), summed in the order of ``product``."""
+    """Return the product of a row (2n,) with a state h (n, 2), summed in the order of ``product``."""
     total = 0.0
     for j in range(len(h)):
         total += row[2 * j] * h[j, 0]
@@ -264,7 +279,7 @@ def reset(z, first, row, kick, target, factor):
 def damping_along(acceleration, row, kick):
     """Return cA^2k, minus the decay rate of the velocity of y = row . x after a change along ``kick`` (n,).
 
-    acceleration  (n, 2n + 1) accelerations in the mode as rows on (x, v, 1)
+    acceleration  (n, 2n + 1) accelerations in the mode (set of linear equations) as rows on (x, v, 1)
     """
     n, total = len(row), 0.0
     for i in range(n):
@@ -277,7 +292,7 @@ def damping_along(acceleration, row, kick):
 def mode_number_of_state(elements, z):
     """Return the number of the mode in which a motion starts at a physical state z (2n,) at t = k T; -1 beyond a stop.
 
-    The mode, a set of linear equations, is one of the machine's first phase.
+    The mode, a set of linear equations, is one of the machine's first phase, a part of the forcing period.
 
     A contact on a rigid stop with v = 0, to ROW_ROUNDING, sticks. Friction sticks at sliding velocity zero. Forces that
     contradict this mode change it at once, see events.follow_jumps.
@@ -309,7 +324,8 @@ def mode_number_of_state(elements, z):
 def snap_to_mode(elements, number, z):
     """Remove deviations of rounding size from a physical state z (2n,), in place, in the mode of this number.
 
-    A sticking contact is put on its stop with v = 0; sticking friction does not slide.
+    A mode is one set of linear equations. A sticking contact is put on its stop with v = 0; sticking friction does not
+    slide.
     """
     C, F, n = len(elements.row), len(elements.friction_rows), elements.row.shape[1]
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)

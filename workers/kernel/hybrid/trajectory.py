@@ -81,7 +81,7 @@ class TrajectoryTimes(NamedTuple):
 
     time          time at the start of the leg, since the start of the period
     phase         forcing phase at the start of the leg
-    until         end of the machine's phase, see TrajectoryIndices, or of the trajectory
+    until         end of the current part of the forcing period, see TrajectoryIndices, or of the trajectory
     horizon       longest time in which to seek the leg's first event
     rate          rate of the signal that the leg begins with
     end1 ... end3 last estimates of a chatter's end, see chatter.chatter_end
@@ -102,9 +102,9 @@ class TrajectoryTimes(NamedTuple):
 
 
 class TrajectoryIndices(NamedTuple):
-    """Whole numbers of a trajectory, the columns of ``indices``.
+    """Whole numbers of a trajectory, the columns of ``indices``. A mode is one set of linear equations of motion.
 
-    mode    index of the mode in the table of modes; negative if there is no mode, see events.mode_of
+    mode    index of the mode in the table; negative if there is no mode, see events.mode_of
     number  number of the mode
     where   phase of the machine, a part of the forcing period with constants of its own
     hit     signal whose event begins the leg, the motion in one mode, -1 for none
@@ -130,6 +130,8 @@ named_constants(TrajectoryTimes, TrajectoryIndices)
 
 class HybridTrajectory(NamedTuple):
     """A motion of n coordinates on its way through a period, event by event, with m tangent vectors and G signals.
+
+    A leg is the motion between two events, in one mode, a set of linear equations.
 
     clock                     times, see TrajectoryTimes
     indices                   whole numbers, see TrajectoryIndices
@@ -195,7 +197,7 @@ def make_trajectories(table, N, n, m, framed, square):
 def stop_at(table, tally, k, number):
     """Set the status of a motion, in its counts ``tally``, that cannot continue since there is no next mode.
 
-    k       negative code in place of the mode's index, see events.mode_of
+    k       negative code in place of the mode (set of linear equations)'s index, see events.mode_of
     number  number of the mode; a mode that is not built is noted in the table
     """
     if k == MISSING:
@@ -210,8 +212,9 @@ def fly(modes, k, s, traj, drifts, flown):
     """Advance the state and the tangent vectors of a trajectory by a flight of duration s in mode k, in place.
 
     ``drifts`` is 1 if a coordinate drifts, else 0. With ``flown``, traj.flow already holds the flow over s. The frame,
-    the set of tangent vectors, is made orthonormal before the flight. Directions removed by an event are therefore
-    detected before the flight turns rounding into directions. Multipliers are then known to rounding.
+    the set of tangent vectors, is made orthonormal before the flight. A mode is a set of linear equations. Directions
+    removed by an event are therefore detected before the flight turns rounding into directions. Multipliers are then
+    known to rounding.
     """
     blocks, h, V, growth, flows = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow
     if growth.shape[0] > 0:
@@ -238,7 +241,7 @@ def count_rest(elements, states, lost, s, chatter, tally):
     """Add the time at rest in a flight of duration s to the counts ``tally`` of a motion.
 
     states (C,)  states of the contacts
-    lost         number of dimensions that the mode of the flight lacks, since coordinates stick; 0 if nothing rests
+    lost         number of dimensions that the motion lacks, since coordinates stick; 0 if nothing rests
     chatter      first part of the flight, in which the mass still hops; it does not count if nothing else rests
     """
     count = 0.0
@@ -270,9 +273,10 @@ def keep_held(elements, states, slips, z):
 
 @kernel
 def follow(table, traj):
-    """Find the mode in which the motion continues, and write its slot and number into the trajectory.
+    """Find the mode in which a motion continues after an event, and write its index and number into the trajectory.
 
-    A mode is one set of linear equations between two events. See events.follow_jumps for jumps beyond guards.
+    A mode is one set of linear equations between two events. For signals that a jump has left beyond their ranges see
+    events.follow_jumps.
     """
     indices = traj.indices
     k, number = follow_jumps(
@@ -302,7 +306,7 @@ def begin_trajectory(table, traj, number):
 
 @inlined
 def begin_leg(table, traj, duration):
-    """Begin a leg of a trajectory, the motion in one mode, and return the longest time to seek its first event.
+    """Begin a leg of a trajectory, the motion between two events, and return the longest time to seek the next event.
 
     ``duration`` is that of the whole trajectory. If the trajectory cannot continue, set tally[STATUS] and return 0.
     """
@@ -356,7 +360,7 @@ def record_leg(traj, legs, s):
 def leave_leg(table, traj, s, reached, end, duration, legs, flown):
     """Advance a trajectory by the duration s of its leg, to just before the event at the leg's end.
 
-    A leg is the motion in one mode between two events. Return True if the trajectory is over.
+    A leg is the motion between two events. Return True if the trajectory is over.
 
     reached  signal that has reached an end of its range, -1 for none
     end      the end of its range
@@ -403,7 +407,7 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
 
 @inlined
 def is_soft(table, reached):
-    """Return True if the signal ``reached`` belongs to a soft contact of the machine."""
+    """Return True if a signal at an end of its range, ``reached``, belongs to a soft contact of the machine."""
     c = reached // SIGNALS
     return c < len(table.elements.soft) and table.elements.soft[c] > 0.0
 
@@ -457,7 +461,7 @@ def strike_hard(table, traj, contacts):
 def strike_stop(table, traj, g, c, side, contacts):
     """Pass an impact on rigid contact c: the state jumps, counts are added, and the rest of a chatter is noted.
 
-    g, side   signal that has reached its stop, and the side of the stop
+    g, side   number of the signal that has reached a stop, and the side of the stop
     contacts  records of impacts, see motion.through_modes
     """
     clock, tally, t, rate = traj.clock, traj.tally, traj.clock[CLOCK.time], traj.clock[CLOCK.rate]
@@ -487,7 +491,8 @@ def strike_stop(table, traj, g, c, side, contacts):
 def carry(table, traj, mode):
     """Carry the tangent vectors of a trajectory through the event just passed, by its saltation matrix, in place.
 
-    ``mode`` is the index of the mode before the event. The change of volume is added to the counts.
+    ``mode`` is the index of the mode (set of linear equations) before the event. The change of volume is added to the
+    counts.
     """
     indices, pieces = traj.indices, table.pieces
     f, after, k, g = traj.before, traj.after, indices[INDEX.mode], indices[INDEX.hit]

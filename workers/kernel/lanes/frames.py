@@ -1,6 +1,6 @@
 """The tangent frames of the lanes of a batch: flights, impacts and orthonormalisation.
 
-A lane is a place in loops over cells, which holds one cell. Its frame is the set of tangent vectors of that cell. Every
+A lane is a slot of loops over cells, which holds one cell. Its frame is the set of tangent vectors of that cell. Every
 round loops over the first n lanes. A lane still in flight keeps its frame by a mask, which costs less than gathering
 the others. ``u`` are the fields of one vector, see ``entry``.
 
@@ -42,9 +42,10 @@ MAX_SPREAD_OF_ONE = 100.0
 
 
 class Workspace(NamedTuple):
-    """Work arrays in which the frames of some lanes are made orthonormal, with their m vectors of n blocks.
+    """Work arrays in which the frames of some lanes are made orthonormal, with m vectors of n blocks.
 
-    A frame is the set of tangent vectors of one lane, which holds one cell.
+    A frame is the set of tangent vectors of one lane, which holds one cell, and a block one decoupled equation of
+    motion.
 
     frames  (m, 2 n STRIDE)  vectors, as those of the lanes
     growths (m, STRIDE)      growth of each vector
@@ -66,7 +67,8 @@ class Workspace(NamedTuple):
 def entry(j, c, i):
     """Return an index into the array of one tangent vector of many cells: number c (0 or 1) of block j of cell i.
 
-    The index is unsigned: a check for negative indices would prevent vector instructions in a loop over i.
+    A block is one decoupled equation of motion. The index is unsigned: a check for negative indices would prevent
+    vector instructions in a loop over i.
     """
     return np.uint64((2 * j + c) * STRIDE + i)
 
@@ -82,16 +84,17 @@ def last_two(u):
 
 @kernel
 def clear(partial, count):
-    """Set the first ``count`` entries of both sums over blocks in ``partial`` to zero."""
+    """Set the first ``count`` entries of both rows of partial sums, ``partial``, to zero."""
     for i in range(count):
         partial[entry(0, 0, i)] = partial[entry(0, 1, i)] = 0.0
 
 
 @inlined
 def product_of_two(metric, u, w, j, i, total):
-    """Return ``total`` plus the terms of blocks j and j + 1 in the product of the tangent vectors u and w of frame i.
+    """Return ``total`` plus the terms of blocks j and j + 1 in the product of tangent vectors u and w of cell i.
 
-    For the product see ``tangent.inner``, and for the arrays ``normalise_pass``.
+    A block is one decoupled equation of motion. For the product see ``tangent.inner``, and for the arrays
+    ``normalise_pass``.
     """
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     total = fma(u[e1], w[e1], fma(metric[e0] * u[e0], w[e0], total))
@@ -100,7 +103,7 @@ def product_of_two(metric, u, w, j, i, total):
 
 @inlined
 def scale_two(u, j, i, factor):
-    """Multiply blocks j and j + 1 of tangent vector u of frame i by ``factor``, in place."""
+    """Multiply blocks j and j + 1 (decoupled equations) of tangent vector u of cell i by ``factor``, in place."""
     u[entry(j, 0, i)] *= factor
     u[entry(j, 1, i)] *= factor
     u[entry(j, 2, i)] *= factor
@@ -109,7 +112,10 @@ def scale_two(u, j, i, factor):
 
 @inlined
 def subtract_two(u, w, j, i, factor):
-    """Subtract ``factor`` times tangent vector u from w in blocks j and j + 1 of frame i, in place."""
+    """Subtract ``factor`` times tangent vector u from w in blocks j and j + 1 of cell i, in place.
+
+    A block is one decoupled equation of motion.
+    """
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     w[e0] = fma(-factor, u[e0], w[e0])
     w[e1] = fma(-factor, u[e1], w[e1])
@@ -119,7 +125,7 @@ def subtract_two(u, w, j, i, factor):
 
 @kernel
 def products(metric, u, w, partial, count):
-    """Write the products of tangent vectors u and w of ``count`` frames to ``partial``, without their last two blocks.
+    """Write the products of tangent vectors u and w of ``count`` cells to ``partial``, without their last two blocks.
 
     A block is one decoupled equation of the motion. For the product see ``tangent.inner``.
     """
@@ -131,12 +137,12 @@ def products(metric, u, w, partial, count):
 
 @kernel
 def normalise_pass(metric, rank, k, u, growth, partial, count):
-    """Scale vector k of each of ``count`` frames of tangent vectors to unit length, one step of tangent.orthonormalise.
+    """Scale tangent vector k of each of ``count`` cells to unit length, one step of tangent.orthonormalise.
 
-    metric (2 n STRIDE,)  metric at the first number of each block
-    rank   (STRIDE,)      number of directions of each frame
+    metric (2 n STRIDE,)  metric of each block (decoupled equation), at its first number (decoupled equation)
+    rank   (STRIDE,)      number of directions of each cell that exist
     u      (2 n STRIDE,)  numbers of the vector, see ``entry``
-    growth (STRIDE,)      growth of the vector in each frame
+    growth (STRIDE,)      growth of the vector in each cell
     """
     products(metric, u, u, partial, count)
     last = last_two(u)
@@ -154,7 +160,7 @@ def normalise_pass(metric, rank, k, u, growth, partial, count):
 
 @kernel
 def project_pass(metric, u, w, partial, count):
-    """Make a later tangent vector w of each frame orthogonal to the unit vector u, as in tangent.orthonormalise.
+    """Make a later tangent vector w of each cell orthogonal to the unit vector u, one step of tangent.orthonormalise.
 
     The arguments are those of ``normalise_pass``.
     """
@@ -171,16 +177,19 @@ def project_pass(metric, u, w, partial, count):
 
 @inlined
 def at(j, field, i):
-    """Return the index of a field of block j (a decoupled equation) of lane i in the array of all lanes' fields.
+    """Return the index of a field of block j of lane i in the array of all lanes' fields; unsigned, as in ``entry``.
 
-    It is unsigned, as in ``entry``.
+    A lane holds one cell, and a block is one decoupled equation of motion.
     """
     return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
 
 
 @inline_always
 def workspace(m, n):
-    """Return work arrays for making frames of m tangent vectors of n blocks orthonormal, see Workspace."""
+    """Return work arrays for making m tangent vectors of n decoupled equations orthonormal in many cells.
+
+    See Workspace.
+    """
     size = 2 * padded_blocks(n) * STRIDE
     return Workspace(
         room_for_vectors(m * size).reshape((m, size)),
@@ -194,9 +203,9 @@ def workspace(m, n):
 
 @kernel
 def spread_pass(a, limit, n):
-    """Decide for each lane how its tangent vectors pass the flight and the impact just completed.
+    """Decide for each lane (one cell) how its tangent vectors pass the flight and the impact just completed.
 
-    a      fields of all lanes; those of the frame change
+    a      fields of all lanes (one cell each); those of the frame change
     limit  largest stretch of a frame, as a logarithm, before it is made orthonormal
     n      number of lanes
 
@@ -229,19 +238,19 @@ def spread_pass(a, limit, n):
 
 @inlined
 def is_whole(vectors, blocks):
-    """Return True if frames of this size, four vectors of two blocks, are handled as a whole by ``two_blocks.py``."""
+    """Return True if ``two_blocks.py`` handles the tangent vectors: each cell has four, of two decoupled equations."""
     return vectors == VECTORS and blocks == BLOCKS
 
 
 @inline_always
 def orthonormalise_due(a, count, frames, growths, space, blocks):
-    """Make the tangent vectors of some lanes orthonormal, as tangent.orthonormalise does for one cell.
+    """Make the tangent vectors of some cells orthonormal, see tangent.orthonormalise.
 
-    a                 fields of all lanes
-    count             number of these lanes, listed first in space.lanes
-    frames, growths   tangent vectors of all lanes and their growth, changed in place
+    a                 fields of all cells
+    count             number of these cells; the indices of their fields come first in space.lanes
+    frames, growths   tangent vectors of all cells and their growth, changed in place
     space             work arrays
-    blocks            number of blocks, the decoupled equations of motion
+    blocks            number of decoupled equations of motion
     """
     U, growing, metric, rank, lanes, partial = space
     m = len(frames)
@@ -279,7 +288,10 @@ def gather_vector(lanes, count, blocks, u, growth, w, growing):
 
 @kernel
 def scatter_vector(lanes, count, blocks, w, growing, u, growth):
-    """Undo ``gather_vector``: copy one tangent vector and its growth from w and ``growing`` back to these lanes."""
+    """Undo ``gather_vector``: copy one tangent vector and its growth from w and ``growing`` back to its lanes.
+
+    A lane is a slot of loops that holds one cell.
+    """
     for e in range(count):
         growth[lanes[e]] = growing[e]
     for j in range(blocks):
@@ -290,9 +302,10 @@ def scatter_vector(lanes, count, blocks, w, growing, u, growth):
 
 @inlined
 def fly_block(a, u, j, i, dy, dv):
-    """Carry block j of tangent vector u of lane i through the flight just completed, in place.
+    """Carry block j of tangent vector u through the flight just completed in lane i, in place.
 
-    Return (dy, dv), position and velocity of the gap coordinate in the vector, plus the contribution of the block.
+    Return (dy, dv), position and velocity of the gap coordinate in the vector, plus the contribution of the block. A
+    lane holds one cell, and a block is one decoupled equation of motion.
     """
     flows, e0, e1 = a[LANE.flows + i] > 0.0, entry(j, 0, i), entry(j, 1, i)
     u0, u1 = u[e0], u[e1]
@@ -306,7 +319,10 @@ def fly_block(a, u, j, i, dy, dv):
 
 @inlined
 def kick_block(a, u, j, i, along_k, along_Ak):
-    """Add the change by an impact to block j of tangent vector u of lane i, in place; see contact.saltation."""
+    """Add the change by an impact in lane i to block j of tangent vector u, in place; see contact.saltation.
+
+    A lane holds one cell, and a block is one decoupled equation of motion.
+    """
     e0, e1 = entry(j, 0, i), entry(j, 1, i)
     u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
     u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
@@ -314,9 +330,9 @@ def kick_block(a, u, j, i, along_k, along_Ak):
 
 @kernel
 def transfer_pass(a, u, partial, n):
-    """Carry tangent vector u of each of n lanes through the flight just completed, and through an impact at its end.
+    """Carry tangent vector u of each of n cells through the flight just completed, and through an impact at its end.
 
-    The impact acts as in contact.saltation. ``partial`` is overwritten.
+    The impact acts as in contact.saltation. ``a`` are the fields of the cells; ``partial`` is overwritten.
     """
     last = last_two(u)
     clear(partial, n)
@@ -343,8 +359,9 @@ def transfer_pass(a, u, partial, n):
 
 @inline_always
 def fly_frame_far(a, i, blocks, frames, growths):
-    """Carry the tangent vectors of lane i through a long flight, which stretches some vectors far more than others.
+    """Carry the tangent vectors of one cell through a long flight, which stretches some vectors far more than others.
 
+    i                       lane that holds the cell
     blocks (N, n, columns)  constants of the decoupled equations of all cells
 
     The vectors become orthonormal. Otherwise ``transfer_pass`` does the work.
@@ -360,7 +377,7 @@ def fly_frame_far(a, i, blocks, frames, growths):
 
 @inline_always
 def move_frames(a, n, blocks, frames, growths, space):
-    """Carry the tangent vectors of the first n lanes through the flights and impacts just completed.
+    """Carry the tangent vectors of the first n lanes (one cell each) through the flights and impacts just completed.
 
     blocks (N, n, columns)  constants of the decoupled equations of all cells
     """
@@ -379,14 +396,17 @@ def move_frames(a, n, blocks, frames, growths, space):
 
 @inlined
 def square_of_block(a, u, j, i, total):
-    """Return ``total`` plus the contribution of block j to the squared length of tangent vector u of lane i."""
+    """Return ``total`` plus the contribution of block j to the squared length of tangent vector u in lane i.
+
+    A lane holds one cell, and a block is one decoupled equation of motion.
+    """
     u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
     return fma(u1, u1, fma(a[at(j, BLOCK.metric, i)] * u0, u0, total))
 
 
 @kernel
 def measure_pass(a, u, growth, partial, n):
-    """Set the growth of the first tangent vector over the period, in lanes that end a period or have just started.
+    """Set the growth of the first tangent vector over the period, in cells that end a period or have just started.
 
     LANE.log_length is tangent.log_length at the start of the period, NaN if unknown.
     """
@@ -405,7 +425,7 @@ def measure_pass(a, u, growth, partial, n):
 
 @inlined
 def load_frame(V, growth, frames, growths, i):
-    """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i of the arrays of all lanes."""
+    """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i (one cell) of the arrays of all lanes."""
     for k in range(V.shape[0]):
         growths[k, i] = growth[k]
         for j in range(V.shape[1]):
@@ -414,7 +434,7 @@ def load_frame(V, growth, frames, growths, i):
 
 @inlined
 def store_frame(frames, growths, i, V, growth):
-    """Write the tangent vectors of lane i to V (m, n, 2) and their growth to growth (m,)."""
+    """Write the tangent vectors of lane i (one cell) to V (m, n, 2) and their growth to growth (m,)."""
     for k in range(V.shape[0]):
         growth[k] = growths[k, i]
         for j in range(V.shape[1]):

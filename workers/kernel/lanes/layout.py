@@ -127,16 +127,16 @@ BlockFields: Any = namedtuple("BlockFields", FIELDS_OF_BLOCK)  # type: ignore[mi
 
 
 class HarmonicFields(NamedTuple):
-    """Fields of one harmonic of the force in a lane, as offsets, from the second harmonic on."""
+    """Fields of one harmonic of the force in each lane (one cell), as offsets, from the second harmonic on."""
 
     sin_part: int
     cos_part: int
 
 
 class GapFields(NamedTuple):
-    """Fields of the gaps to the stops of some lanes, as offsets: closing motion, and bounds of a safe time.
+    """Fields of the gaps of some cells to their stops, as offsets: closing motion, and bounds of a safe time.
 
-    The lanes are gathered contiguously. A safe time is one in which the gap certainly stays open.
+    The cells are gathered contiguously. A safe time is one in which the gap certainly stays open.
     """
 
     gap: int

@@ -68,7 +68,7 @@ LEG_SIZE = len(LegFields._fields) * STRIDE
 
 @inline_always
 def record_size(blocks, harmonics):
-    """Return the size of the array of fields of one signal of all lanes.
+    """Return the size of the array of fields of one signal of all lanes (one motion each).
 
     blocks     number of blocks, the decoupled equations of motion
     harmonics  number of harmonics of the force
@@ -86,7 +86,10 @@ def empty_lane(records, i):
 
 @kernel
 def copy_lane(records, source, target):
-    """Copy the fields of all signals from lane ``source`` to lane ``target``."""
+    """Copy the motion in lane ``source`` to lane ``target``, with the fields of all its signals.
+
+    A lane is a slot of the loops. A signal is a number with an event at each end of its range.
+    """
     records = borrow(records)
     for u in range(records.shape[0]):
         move_lane(records[u], source, target)
@@ -94,7 +97,7 @@ def copy_lane(records, source, target):
 
 @inlined
 def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts, H):
-    """Load a leg in mode k, of at most the time H, into lane i.
+    """Load a leg in mode k (a set of linear equations), of at most the time H, into lane i (one motion).
 
     Return True if all blocks (decoupled equations) oscillate.
 
@@ -144,11 +147,12 @@ def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts
 
 @inlined
 def read_flow(records, i, flow):
-    """Copy the flow of each block since the start of the leg, and the block's state now, from lane i to ``flow``.
+    """Copy the flow of each block since the start of the leg, and the block's state now, to ``flow``.
 
     flow (n, 6)  see HybridTrajectory
 
-    A leg is the motion between two events, a block one decoupled equation of motion, and its flow a matrix (2, 2).
+    Lane i holds one motion. A leg is the motion between two events, a block one decoupled equation of motion, and its
+    flow a matrix (2, 2).
     """
     for j in range(len(flow)):
         first = LANE_SIZE + j * BLOCK_SIZE + i
@@ -159,9 +163,9 @@ def read_flow(records, i, flow):
 
 @kernel
 def least_pass(legs, a, u, n):
-    """Take the step of signal u as the step of its lane, for each of n lanes, if it is the smallest so far.
+    """Take the step of signal u as the step of each of n motions for which it is the smallest so far.
 
-    ``a`` are the fields of the signal.
+    ``a`` are the fields of the signal, a number with an event at each end of its range.
     """
     for i in range(n):
         contact, before, hit = a[LANE.contact_time + i], legs[LEG_FIELD.step + i], legs[LEG_FIELD.hit + i]
@@ -176,7 +180,7 @@ def least_pass(legs, a, u, n):
 
 @kernel
 def move_pass(legs, a, n):
-    """Advance each of n lanes by its step, and set whether it has reached an event.
+    """Advance each of n lanes (one motion each) by its step, and set whether it has reached an event.
 
     Return how many lanes need new bounds of their signals. ``a`` are the fields of the first signal.
     """
@@ -204,7 +208,9 @@ def move_pass(legs, a, n):
 
 @kernel
 def copy_pass(a, first, n):
-    """Copy time and flags, which all signals of a lane have in common, from its first signal to another.
+    """Copy time and flags, which all signals of a motion have in common, from its first signal to another.
+
+    A signal is a number with an event at each end of its range.
 
     ``first`` and ``a`` are the fields of both signals in n lanes, slots that hold one motion each.
     """
@@ -217,10 +223,12 @@ def copy_pass(a, first, n):
 
 @kernel
 def share_pass(a, q, flown, n):
-    """Add the contribution of one block, a decoupled equation of motion, to a signal of each of n lanes.
+    """Add the contribution of one block, a decoupled equation of motion, to a signal of each of n motions.
 
     a, q   fields of the signal, and of the block in this signal
     flown  fields of the block in the first signal, with its state at LANE.time
+
+    A signal is a number with an event at each end of its range.
     """
     for i in range(n):
         h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
@@ -229,7 +237,7 @@ def share_pass(a, q, flown, n):
 
 @kernel
 def oscillating_share_pass(a, q, flown, n):
-    """Do ``share_pass`` for a block that is underdamped in every lane."""
+    """Do ``share_pass`` for a block (decoupled equation) that is underdamped in every lane (one motion each)."""
     for i in range(n):
         h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
@@ -237,16 +245,17 @@ def oscillating_share_pass(a, q, flown, n):
 
 @inline_always
 def run_round(records, legs, blocks, harmonics, oscillates, renews, n, lane_list, c):
-    """Take the first n lanes through one round: each takes its next certified step, or arrives at an event.
+    """Take the first n lanes through one round: each advances by a certified step, or to an event.
 
-    blocks        number of blocks, the decoupled equations of motion
-    harmonics     number of harmonics of the force
-    oscillates    whether all blocks of all lanes are underdamped
-    renews        whether a lane may need new bounds of its signals
-    lane_list, c  overwritten
+    records, legs  fields of the lanes, slots that hold one motion each
+    blocks         number of blocks, the decoupled equations of motion
+    harmonics      number of harmonics of the force
+    oscillates     whether all blocks of all lanes are underdamped
+    renews         whether a lane may need new bounds of its signals
+    lane_list, c   overwritten
 
-    Return True if a lane needs new bounds in the next round. Both ways to treat an underdamped block give the same
-    bits.
+    A certified step is a time in which certainly no event occurs. Return True if a lane needs new bounds in the next
+    round. Both ways to treat an underdamped block give the same bits.
     """
     signals, first = records.shape[0], records[0]
     for i in range(n):

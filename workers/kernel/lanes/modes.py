@@ -49,14 +49,14 @@ class LegSearch(NamedTuple):
     """Work arrays for the search for the events of many motions of n coordinates, each in a lane, a slot of the loops.
 
     records, legs       fields of the lanes, see ``legs.py``
-    signals (U,)        numbers of the signals that end a mode
+    signals (U,)        numbers of the signals whose events are sought (set of linear equations)
     lane_cells (LANES,) cell of each lane
     slots (LANES,)      row of its trajectory in the batch of trajectories
-    before (LANES,)     log of the length of the first tangent vector of each trajectory, at its last section
+    before (LANES,)     log of the length of the first tangent vector of each trajectory, at the start of the period
     gathered            overwritten
     lane_list (LANES,)  overwritten
     scratch (n, 2)      overwritten
-    none (0, 0)         records of legs, not wanted
+    none (0, 0)         records of the motion between events, not wanted
     """
 
     records: Array
@@ -75,7 +75,7 @@ def run_through_modes(batch: MotionBatch, cells: Rows, signals: Rows, enough: in
     """Advance these cells of a batch by their periods, or until their motion or their evaluations end.
 
     batch         its arrays change, see lanes.run.MotionBatch
-    signals (U,)  signals of the machines that end a mode, at least one
+    signals (U,)  numbers of the machines' signals whose events are sought, at least one
     enough        minimum number of active cells; once fewer are active, each stops at its next section
     lanes         maximum number of active cells, at most LANES
 
@@ -91,11 +91,11 @@ def run_through_modes(batch: MotionBatch, cells: Rows, signals: Rows, enough: in
 
 
 def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
-    """Return work arrays for a search, with empty lanes.
+    """Return work arrays for the search for events, which hold no motion yet.
 
     n          number of coordinates
     harmonics  number of harmonics of the force
-    signals    (U,) numbers of the signals that end a mode
+    signals    (U,) numbers of the signals whose events are sought
     """
     U, size = len(signals), record_size.py_func(n, harmonics)
     return LegSearch(
@@ -183,7 +183,7 @@ def begin_period(batch, trajs, r, slot, more):
 
 @inline_always
 def pass_alone(batch, trajs, search, r, slot):
-    """Advance cell r to the end of its current leg and past the event there, without a lane of the vectorised loops.
+    """Advance cell r to the end of its current leg and past the event there, by the kernels of one motion.
 
     Return True if its period is over. A leg is the motion in one mode, a set of linear equations, from one event to the
     next.
@@ -194,9 +194,10 @@ def pass_alone(batch, trajs, search, r, slot):
 
 @inline_always
 def pass_found(batch, trajs, search, r, slot, i):
-    """Advance cell r to the event that the search has found in lane i, the end of its current leg, and past the event.
+    """Advance cell r to the event that the search has found, the end of its current leg, and past the event.
 
-    Return True if the period of the cell is over. A leg is the motion in one mode, from one event to the next.
+    ``i`` is the lane in which the loops hold the cell. Return True if the period of the cell is over. A leg is the
+    motion between two events.
     """
     tables, legs = batch.oscillators.table, search.legs
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
@@ -236,9 +237,11 @@ def end_period(batch, trajs, r, slot, ending, before, more):
 
 @kernel
 def turn(batch, trajs, search, r, i, stage, ending, more):
-    """Advance cell r until a leg begins whose event the lanes can search; return True if there is such a leg.
+    """Advance cell r until a leg begins whose event the vectorised loops can search.
 
-    i       lane of the cell, a slot of the loops, that has searched the current leg, the motion in one mode
+    Return True if there is such a leg. A leg is the motion between two events.
+
+    i       lane of the cell, its index in the loops
     stage   where to continue, see BEGINS
     ending  True to stop at the end of the period
     """
@@ -283,7 +286,7 @@ def begins_at_rest(traj):
 
 @inlined
 def grows(modes, k):
-    """Return True if a block of mode k, one of its decoupled equations, grows.
+    """Return True if a block of mode k (a set of linear equations), one of its decoupled equations, grows.
 
     Bounds of a growing motion hold only for a while, see crossing.next_crossing.
     """

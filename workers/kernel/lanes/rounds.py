@@ -95,7 +95,9 @@ def arrival_pass(a, n):
 
 @inline_always
 def run_round(a, blocks, harmonics, oscillates, renews, n, lane_list, c):
-    """Take the first n lanes through one round: the next step, or an event. Return the counts of ``arrival_pass``.
+    """Take the first n lanes (one cell each) through one round: the next step, or an event.
+
+    Return the counts of ``arrival_pass``.
 
     n is a multiple of VECTOR_WIDTH.
 

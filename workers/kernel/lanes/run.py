@@ -65,7 +65,7 @@ class MotionBatch(NamedTuple):
     completed    (N,)               number of periods completed, changed in place
     levels       (N, LEVELS, 4)     averages of tangent growth, see averages.add_growth
     weighted     (N, 2)             weighted averages of tangent growth, see averages.add_growth
-    sections     (N, K, n, 2)       the last K block states at sections, the instants t = k T
+    sections     (N, K, n, 2)       the last K states of the decoupled equations at sections, the instants t = k T
     """
 
     oscillators: Oscillator
@@ -79,10 +79,10 @@ class MotionBatch(NamedTuple):
 
 @inline_always
 def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
-    """Load cell r into lane i at the start of a period, with the constants of its machine.
+    """Load cell r into lane i (one cell) at the start of a period, with the constants of its machine.
 
     a      fields of all lanes
-    h      (N, n, 2) block states of all cells
+    h      (N, n, 2) states of the decoupled equations of all cells
     tally  (N, TALLIES) counts of all cells
 
     The other arguments are fields of the batch of machines, see Oscillator and GuardedFlow.
@@ -122,9 +122,9 @@ def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
 
 @inlined
 def save(a, i, r, h, tally):
-    """Write state and counts of lane i, at the end of a period, back to cell r.
+    """Write state and counts of lane i (one cell), at the end of a period, back to cell r.
 
-    h      (N, n, 2) block states of all cells, changed in place
+    h      (N, n, 2) states of the decoupled equations of all cells, changed in place
     tally  (N, TALLIES) counts of all cells, changed in place
     """
     for j in range(h.shape[1]):
@@ -141,7 +141,7 @@ def save(a, i, r, h, tally):
 
 @inlined
 def record(a, i, impacts):
-    """Write the impact that lane i has reached to the next row of ``impacts`` (K, 3), if there is room."""
+    """Write the impact that lane i (one cell) has reached to the next row of ``impacts`` (K, 3), if there is room."""
     row = int(a[LANE.recorded + i])
     if row < impacts.shape[0]:
         impacts[row, 0], impacts[row, 1] = a[LANE.flight_start + i], a[LANE.event + i]
@@ -160,14 +160,17 @@ def keep_section(h, r, k, periods, sections):
 
 @kernel
 def move_lane(a, source, target):
-    """Copy all fields of lane ``source`` to lane ``target``."""
+    """Copy all fields of the cell in lane ``source``, a slot of the loops, to lane ``target``."""
     for f in range(len(a) // STRIDE):
         a[f * STRIDE + target] = a[f * STRIDE + source]
 
 
 @kernel
 def park(a, i):
-    """Fill an unused lane with a mass at rest without forces, for the passes to run over."""
+    """Fill lane i, which holds no cell, with a mass at rest without forces, over which the loops can run.
+
+    A lane is a slot of the loops.
+    """
     for f in range(len(a) // STRIDE):
         a[f * STRIDE + i] = 0.0
     a[LANE.upper + i], a[LANE.lower + i], a[LANE.period + i] = 1.0, -1.0, 1.0
@@ -220,8 +223,8 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     """Advance these cells of a batch by their periods, or until their motion or their evaluations end.
 
     batch       its arrays change, see MotionBatch
-    enough      minimum number of active cells; once fewer are active, each stops at its next section
-    lanes       maximum number of active cells, each in a lane of the loops; at most LANES
+    enough      minimum number of active cells; once fewer are active, each stops at the end of its period
+    lanes       maximum number of active cells, at most LANES, the number of slots of the loops
     oscillates  whether all blocks, the decoupled equations, of all these cells are underdamped
     """
     batch = by_reference(batch)

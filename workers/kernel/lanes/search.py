@@ -74,7 +74,7 @@ def retreat_pass(a, n):
 
 @inlined
 def padded_count(count):
-    """Return the next multiple of VECTOR_WIDTH, the number of lanes over which loops for ``count`` lanes run."""
+    """Return the next multiple of VECTOR_WIDTH from ``count`` on: the number of cells over which loops run."""
     return -(-count // VECTOR_WIDTH) * VECTOR_WIDTH
 
 
@@ -82,8 +82,8 @@ def padded_count(count):
 def list_lanes(a, field, n, lane_list):
     """Write the numbers of the lanes whose field is positive to ``lane_list``, and return how many they are.
 
-    ``field`` is the offset of the field in the array a of all lanes' fields; the first n lanes count. The loop is
-    branch-free, since the processor would often mispredict a branch.
+    A lane holds one cell. ``field`` is the offset of the field in the array a of all lanes' fields; the first n lanes
+    (one cell each) count. The loop is branch-free, since the processor would often mispredict a branch.
     """
     count = 0
     for i in range(n):
@@ -94,9 +94,9 @@ def list_lanes(a, field, n, lane_list):
 
 @inline_always
 def gather(a, lane_list, count, c):
-    """Copy the gaps of the lanes lane_list[:count] to their stops to contiguous arrays in c, see GapFields.
+    """Copy the gaps between cells and their stops to contiguous arrays in c, for the cells in lanes lane_list[:count].
 
-    Return the number of lanes over which loops on c run.
+    For the arrays see GapFields. Return the number over which loops on c run.
     """
     for e in range(count):
         i = lane_list[e]
@@ -112,7 +112,7 @@ def gather(a, lane_list, count, c):
 
 @kernel
 def advance_pass(a, n):
-    """Set the step of each of n lanes to the longest time found to be safe from the stop ahead.
+    """Set the step of each of n lanes (one cell each) to the longest time found to be safe from the stop ahead.
 
     It lies between the bounds that ``approach_pass`` has set. Lanes that need no search keep their step.
     """
@@ -134,14 +134,14 @@ def close_in_pass(c, n):
 
 @inline_always
 def scatter(a, lane_list, count, c):
-    """Set the steps of the lanes lane_list[:count] to the safe times gathered in c."""
+    """Set the steps of the lanes lane_list[:count] (one cell each) to the safe times gathered in c."""
     for e in range(count):
         a[LANE.step + lane_list[e]] = c[GAP.low + e]
 
 
 @inline_always
 def safe_steps(a, n, lane_list, c):
-    """Set a step in which neither stop is reached, for each of n lanes without certain contact."""
+    """Set a step in which neither stop is reached, for each of n lanes (one cell each) without certain contact."""
     approach_pass(a, n)
     advance_pass(a, n)
     if retreat_pass(a, n) > 0:
@@ -152,7 +152,7 @@ def safe_steps(a, n, lane_list, c):
 
 @kernel
 def step_pass(a, n):
-    """Set the next event and time of each of n lanes, from its step or its time of certain contact."""
+    """Set the next event and time of each of n lanes (one cell each), from its step or its time of certain contact."""
     for i in range(n):
         s, step, contact, ahead = a[LANE.time + i], a[LANE.step + i], a[LANE.contact_time + i], -a[LANE.side + i]
         reach = a[LANE.bound0 + i] * (1.0 + 1e-12)

@@ -14,15 +14,15 @@ from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, 
 
 @kernel
 def fields_of(a, j):
-    """Return the part of the array a of all lanes' fields that belongs to block j, a decoupled equation of motion."""
+    """Return the part of the array a, the fields of all cells, that belongs to block j, a decoupled equation."""
     return a[LANE_SIZE + j * BLOCK_SIZE : LANE_SIZE + (j + 1) * BLOCK_SIZE]
 
 
 @kernel
 def fields_of_harmonic(a, blocks, k):
-    """Return the part of the array a of all lanes' fields that belongs to harmonic k + 2 of the force.
+    """Return the part of the array a, the fields of all cells, that belongs to harmonic k + 2 of the force.
 
-    It lies behind the fields of all ``blocks``.
+    It lies behind the fields of all ``blocks``, the number of decoupled equations.
     """
     first = LANE_SIZE + blocks * BLOCK_SIZE
     return a[first + k * HARMONIC_SIZE : first + (k + 1) * HARMONIC_SIZE]
@@ -30,9 +30,10 @@ def fields_of_harmonic(a, blocks, k):
 
 @kernel
 def forced_pass(a, n):
-    """Set the signal of each of n lanes and its derivatives, at LANE.time, to the part of the force's first harmonic.
+    """Set the gap coordinate of each of n cells, with its derivatives, to the part of the force's first harmonic.
 
-    Contributions of other harmonics and of blocks, the decoupled equations of motion, are added afterwards.
+    The time is LANE.time. Contributions of other harmonics and of blocks, the decoupled equations, are added
+    afterwards.
     """
     for i in range(n):
         w = a[LANE.omega + i]
@@ -51,7 +52,7 @@ def forced_pass(a, n):
 
 @inlined
 def absent(q, n):
-    """Return True if none of the first n lanes has this harmonic of the force, with fields q.
+    """Return True if none of the first n cells has this harmonic of the force; ``q`` are the fields of the harmonic.
 
     A force lacks most orders below its highest.
     """
@@ -63,9 +64,9 @@ def absent(q, n):
 
 @kernel
 def harmonic_pass(a, q, order, n):
-    """Add the contribution of a harmonic of the force, of this order, to the signal of each of n lanes.
+    """Add the contribution of a harmonic of the force, of this order, to the gap coordinate of each of n cells.
 
-    ``q`` are the fields of the harmonic.
+    ``q`` are the fields of the harmonic. Derivatives are included.
     """
     if absent(q, n):
         return
@@ -86,7 +87,10 @@ def harmonic_pass(a, q, order, n):
 
 @inlined
 def output_of(q, i, h0, h1):
-    """Return signal.block_output, the contribution to the signal, of block state (h0, h1) in lane i."""
+    """Return the contribution of a block in the state (h0, h1) to the gap coordinate of cell i, with three derivatives.
+
+    A block is a decoupled equation of motion, with fields q. See signal.block_output.
+    """
     eta, lam = q[BLOCK.eta + i], q[BLOCK.lam + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return block_output(h0, h1, eta, lam, c0, c1, cA0, cA1)
@@ -94,7 +98,10 @@ def output_of(q, i, h0, h1):
 
 @inlined
 def loaded_output_of(q, i, h0, h1):
-    """Return signal.loaded_output, the contribution to the signal under a load, of block state (h0, h1) in lane i."""
+    """Return ``output_of`` for a block that may bear a load, see signal.loaded_output.
+
+    It is the contribution of a block, a decoupled equation of motion, to the gap coordinate.
+    """
     eta, lam, load = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.load + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
@@ -102,9 +109,9 @@ def loaded_output_of(q, i, h0, h1):
 
 @inlined
 def state_after(q, i, flow):
-    """Return the state of one block of lane i after the flow from the start of the flight, and store the flow's matrix.
+    """Return the state of one block of cell i, a decoupled equation, now: after the flow since the start of the flight.
 
-    flow  four numbers of the matrix, see flow.flow_entries
+    flow  four numbers of the flow's matrix, see flow.flow_entries; they are stored
     """
     f11, f12, f21, f22 = flow
     q[BLOCK.f11 + i] = f11
@@ -117,9 +124,9 @@ def state_after(q, i, flow):
 
 @inlined
 def add_share(a, q, i, h0, h1, share):
-    """Store the state (h0, h1) of one block of lane i, and add its contribution ``share`` to the signal.
+    """Store the state (h0, h1) of a block, and add its contribution ``share`` to the gap coordinate of cell i.
 
-    ``share`` has the value and three derivatives.
+    A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
     """
     q0, q1, q2, q3 = share
     q[BLOCK.h0 + i] = h0
@@ -133,7 +140,10 @@ def add_share(a, q, i, h0, h1, share):
 
 @kernel
 def oscillating_block_pass(a, q, n):
-    """Do ``block_pass`` for a block that is underdamped in every lane and bears no load."""
+    """Do ``block_pass`` for a block that is underdamped in every cell and bears no load.
+
+    A block is a decoupled equation of motion.
+    """
     for i in range(n):
         eta, lam, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
         h0, h1 = state_after(q, i, oscillating_flow(a[LANE.time + i], eta, lam, w, inv_w))
@@ -142,9 +152,9 @@ def oscillating_block_pass(a, q, n):
 
 @kernel
 def block_pass(a, q, n):
-    """Advance one block, a decoupled equation of motion, to LANE.time in each of n lanes, and add it to the signal.
+    """Advance one block, a decoupled equation of motion, to LANE.time in each of n cells, and add it to y.
 
-    Any damping and load are allowed.
+    y is the gap coordinate, with its derivatives. Any damping and load are allowed.
     """
     for i in range(n):
         s, load = a[LANE.time + i], q[BLOCK.load + i]
@@ -157,10 +167,10 @@ def block_pass(a, q, n):
 
 @kernel
 def restart_pass(a, n):
-    """Reset the sums for the signal at the start of a flight, and for its bounds there and at renewals.
+    """Reset the sums for the gap coordinate at the start of a flight, and for its bounds there and at renewals.
 
-    At the start of a flight the signal of a lane begins with the forced part. Its bounds begin with those of the forced
-    part; other lanes keep their values.
+    At the start of a flight the gap coordinate of a cell begins with the forced part. Its bounds begin with those of
+    the forced part. Other cells keep their values.
     """
     for i in range(n):
         y, v, second, third = (
@@ -186,9 +196,10 @@ def restart_pass(a, n):
 
 @inlined
 def state_at_start(a, q, i):
-    """Return the state of a block of lane i from which new bounds follow: its state now, after the kick of an impact.
+    """Return the state of a block of cell i from which new bounds follow: its state now, after the kick of an impact.
 
-    An impact has just kicked the block if a flight starts. The state at the start of the flight is then stored.
+    A block is a decoupled equation of motion. An impact has just kicked it if a flight starts. The state at the start
+    of the flight is then stored.
     """
     fresh = a[LANE.starts + i] > 0.0
     g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
@@ -203,7 +214,10 @@ def state_at_start(a, q, i):
 
 @inlined
 def share_at_start(a, i, share):
-    """Add a block's contribution ``share`` to the signal and its derivatives in lane i, if a flight starts there."""
+    """Add a block's contribution ``share`` to the gap coordinate of cell i, if a flight of the cell starts.
+
+    A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
+    """
     fresh = a[LANE.starts + i] > 0.0
     q0, q1, q2, q3 = share
     a[LANE.y + i] = a[LANE.y + i] + q0 if fresh else a[LANE.y + i]
@@ -215,13 +229,16 @@ def share_at_start(a, i, share):
 
 @inlined
 def amplitude_factors(q, i):
-    """Return the constants of one block of lane i that kernel.signal.amplitude_bounds needs."""
+    """Return the constants of one block, a decoupled equation with fields q, that signal.amplitude_bounds needs."""
     return q[BLOCK.tilt + i], q[BLOCK.weight + i], q[BLOCK.grow2 + i], q[BLOCK.grow3 + i], q[BLOCK.grow4 + i]
 
 
 @inlined
 def add_bounds(a, i, bounds):
-    """Add a block's bounds to the bounds of the signal in lane i, if these are renewed."""
+    """Add the bounds of a block, a decoupled equation, to those of the gap coordinate of cell i.
+
+    Nothing is added in cells whose bounds are not renewed.
+    """
     renew = a[LANE.renews + i] > 0.0
     b0, b2, b3, b4 = bounds
     a[LANE.bound0 + i] = a[LANE.bound0 + i] + b0 if renew else a[LANE.bound0 + i]
@@ -232,7 +249,7 @@ def add_bounds(a, i, bounds):
 
 @kernel
 def oscillating_bounds_pass(a, q, n):
-    """Do ``bounds_pass`` for a block that is underdamped in every lane."""
+    """Do ``bounds_pass`` for a block, a decoupled equation of motion, that is underdamped in every cell."""
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = output_of(q, i, h0, h1)
@@ -245,7 +262,7 @@ def oscillating_bounds_pass(a, q, n):
 def bounds_pass(a, q, n):
     """Add the contribution of one block, a decoupled equation of motion, to the sums that ``restart_pass`` has reset.
 
-    The sums are the signal at the start of a flight, and its bounds.
+    The sums are the gap coordinate at the start of a flight, and its bounds, in each of n cells.
     """
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
@@ -260,10 +277,10 @@ def bounds_pass(a, q, n):
 
 @inline_always
 def renewal_pass(a, blocks, oscillates, n):
-    """Set the signal at the start of a flight, and its bounds there and at renewals, in each of n lanes.
+    """Set the gap coordinate at the start of a flight, and its bounds there and at renewals, in each of n cells.
 
     blocks      number of blocks, the decoupled equations of motion
-    oscillates  whether all are underdamped in all lanes
+    oscillates  whether all are underdamped in all cells
     """
     restart_pass(a, n)
     for j in range(blocks):

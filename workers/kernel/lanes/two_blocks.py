@@ -20,25 +20,31 @@ VECTOR = 4 * STRIDE
 
 @inlined
 def read(U, e):
-    """Return the four numbers of a tangent vector of a frame, from index e of the array U on."""
+    """Return the four numbers of a tangent vector of one cell, from index e of the array U of many cells on."""
     return U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE]
 
 
 @inlined
 def write(U, e, u):
-    """Write the four numbers u of a tangent vector of a frame, from index e of the array U on."""
+    """Write the four numbers u of a tangent vector of one cell, from index e of the array U of many cells on."""
     U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE] = u
 
 
 @inlined
 def product(p, q, u, w):
-    """Return ``tangent.inner`` of two tangent vectors of four numbers; p and q are the metric of both blocks."""
+    """Return ``tangent.inner`` of two tangent vectors of four numbers, two for each decoupled equation of motion.
+
+    p and q are the metric of both equations.
+    """
     return fma(u[3], w[3], fma(q * u[2], w[2], fma(u[1], w[1], fma(p * u[0], w[0], 0.0))))
 
 
 @inlined
 def without(p, q, u, w):
-    """Return the tangent vector w without its component along the unit vector u; p and q are the blocks' metric."""
+    """Return the tangent vector w without its component along the unit vector u.
+
+    p and q are the metric of both decoupled equations.
+    """
     overlap = product(p, q, u, w)
     return (
         fma(-overlap, u[0], w[0]), fma(-overlap, u[1], w[1]), fma(-overlap, u[2], w[2]), fma(-overlap, u[3], w[3])
@@ -47,9 +53,10 @@ def without(p, q, u, w):
 
 @inlined
 def unit(p, q, u, exists):
-    """Return the unit vector along u and the logarithm of u's length; p and q are the metric of both blocks.
+    """Return the unit vector along u and the logarithm of u's length.
 
-    If ``exists`` is False, since the direction is lost, return a zero vector and -infinity.
+    p and q are the metric of both decoupled equations. If ``exists`` is False, since the direction is lost, return a
+    zero vector and -infinity.
     """
     norm = math.sqrt(product(p, q, u, u))
     inverse = 1.0 / norm if exists else 0.0
@@ -58,7 +65,10 @@ def unit(p, q, u, exists):
 
 @kernel
 def orthonormalise_frames(metric, rank, U, growth, count):
-    """Apply tangent.orthonormalise to ``count`` frames at once, see frames.normalise_pass."""
+    """Apply tangent.orthonormalise to the four tangent vectors of each of ``count`` cells.
+
+    For the arrays see frames.normalise_pass.
+    """
     for i in range(count):
         p, q, directions = metric[i], metric[2 * STRIDE + i], rank[i]
         u, v, w, x = read(U, i), read(U, VECTOR + i), read(U, 2 * VECTOR + i), read(U, 3 * VECTOR + i)
@@ -81,7 +91,7 @@ def orthonormalise_frames(metric, rank, U, growth, count):
 
 @inlined
 def flown(a, i, flows, u):
-    """Return the tangent vector u, four numbers, after the flight just completed in lane i.
+    """Return the tangent vector u, four numbers, after the flight just completed in cell i.
 
     ``flows`` is True if a flight has been completed; otherwise u is returned unchanged.
     """
@@ -95,9 +105,9 @@ def flown(a, i, flows, u):
 
 @inlined
 def along(a, i, column0, column1, w):
-    """Return the product of tangent vector w with a row of the gap coordinate in lane i.
+    """Return the product of tangent vector w with a row of the gap coordinate of cell i.
 
-    The row is given by the offsets column0 and column1 of its numbers in each block.
+    The row is given by the offsets column0 and column1 of its numbers in each of both decoupled equations.
     """
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     total = fma(a[first + column1], w[1], fma(a[first + column0], w[0], 0.0))
@@ -106,7 +116,7 @@ def along(a, i, column0, column1, w):
 
 @inlined
 def kicked(a, i, w):
-    """Return the tangent vector w after the impact of lane i, see contact.saltation; w itself if there is no impact."""
+    """Return the tangent vector w after the impact of cell i, see contact.saltation; w itself if there is no impact."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     dy, dv = along(a, i, BLOCK.c0, BLOCK.c1, w), along(a, i, BLOCK.cA0, BLOCK.cA1, w)
     along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
@@ -121,9 +131,9 @@ def kicked(a, i, w):
 
 @kernel
 def transfer_frames(a, frames, n):
-    """Carry all four tangent vectors of each of n lanes through a completed flight and an impact.
+    """Carry all four tangent vectors of each of n cells through a completed flight and an impact.
 
-    It does the work of frames.transfer_pass, but reads the fields of a lane once.
+    It does the work of frames.transfer_pass, but reads the fields of a cell once.
     """
     for i in range(n):
         flows = a[LANE.flows + i] > 0.0
