@@ -1,4 +1,4 @@
-"""The tables of result variables, regimes and reasons."""
+"""The tables of result variables, of regimes (classes of motion) and of reasons for missing or uncertain results."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -260,7 +260,7 @@ def result_named(name: str) -> Variable:
 
 
 def in_words(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return the regime and the reason of a cell as texts, by the names of both variables.
+    """Return the regime and the reason of a cell as texts, by the names of the variables ``regime`` and ``reason``.
 
     ``values`` has the codes of the cell by the same names. The regime becomes its name, the reason its sentence. A cell
     without a reason has no entry for it.

@@ -32,7 +32,7 @@ Given = TypeVar("Given")
 
 
 def by_reference(value: Given) -> Given:
-    """Return the same record, a named tuple; in kernels its address is passed on, and its fields are read as before."""
+    """Return the same record, a named tuple. In kernels its address is passed on; its fields are read as before."""
     return value
 
 

@@ -23,7 +23,7 @@ SHORTEST_HOP = 1e-11
 
 @inlined
 def load_at_rest(side, v, a, cA2k):
-    """Return the acceleration that presses the mass on a stop after its velocity v is removed: side * (a - cA^2k v).
+    """Return the acceleration that presses a mass on a stop once its velocity v is removed: side * (a - cA^2k v).
 
     side   side of the stop, +-1
     v, a   velocity and acceleration of the gap coordinate just before the impact

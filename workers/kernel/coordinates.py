@@ -1,8 +1,8 @@
-"""Conversion between physical section states and block coordinates, with the mode of a motion.
+"""Conversion between physical states and states of the decoupled equations of motion, with the mode of a motion.
 
-A physical state holds displacements and velocities. Block coordinates are (h, h') of each decoupled equation. A mode is
-one set of linear equations between two events, such as flight or rest on a stop. A motion carries its mode. A physical
-state alone gets its mode from ``start_at``.
+A physical state holds displacements and velocities; the other state holds (h, h') of each decoupled equation, or block.
+A mode is one set of linear equations between two events, such as flight or rest on a stop. A motion carries its mode. A
+physical state alone gets its mode from ``start_at``.
 """
 
 import numpy as np

@@ -131,7 +131,7 @@ def safe_step(g, v, a, j3, M2, M3, M4, H):
 
 @inlined
 def safe_retreat(g, v, a, j3, M2, M3, M4, H):
-    """Return ``safe_step``, a time for which a gap stays open, for a gap that opens, v <= 0, with less effort.
+    """Return a time <= H for which an opening gap, v <= 0, certainly stays open: ``safe_step`` with less effort.
 
     Such a gap seldom limits a step.
     """

@@ -1,6 +1,6 @@
 """The least and the greatest value of the gap coordinate in a free flight, from its turning points.
 
-The velocity y' is a guard like y, so the certified search for crossings finds its zeros. No turning point is missed.
+The velocity y' is a signal like y, so the certified search for crossings finds its zeros. No turning point is missed.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Functions compiled once and called through a pointer, instead of being compiled again into each calling kernel.
 
 Such a function has one signature. Its pointer is linked by its name, the symbol, which a cached kernel looks up while
-it is loaded. Functions that only machines with modes need are compiled when a kernel first receives such a machine;
-until then their pointers are null.
+it is loaded. Some functions are only for machines with several contacts, soft contacts or friction. They are compiled
+when a kernel first receives such a machine; until then their pointers are null.
 """
 
 import ctypes

@@ -170,7 +170,7 @@ def flow_with_tangent(block, s, h, V):
 def guard_of(blocks, h):
     """Return the value c . h of a guard, a signal that can end the present law of motion.
 
-    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` has their columns c.
+    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` holds c in its columns.
     """
     total = 0.0
     for j in range(len(blocks)):
@@ -182,7 +182,7 @@ def guard_of(blocks, h):
 def guard_rate_of(blocks, h):
     """Return the rate of change cA . h of a guard, a signal that can end the present law of motion.
 
-    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` has their columns cA.
+    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` holds cA in its columns.
     """
     total = 0.0
     for j in range(len(blocks)):

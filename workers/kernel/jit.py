@@ -3,9 +3,9 @@
 The compiler neither reorders operations nor fuses them; products to be fused are written with ``fma.py``. The bits of a
 result therefore depend neither on the order of compilation or loading nor on the processor.
 
-Loops of unknown length are not unrolled, see ``unrolling.py``. Most of these loops run over a few coordinates, blocks
-or harmonics. Unrolled loops took 155 s of processor time to compile instead of 109 s. They also made the periods of
-machines with modes 11 to 17 % slower.
+Loops of unknown length are not unrolled, see ``unrolling.py``. Most of these loops run over a few coordinates or
+harmonics. Unrolled loops took 155 s of processor time to compile instead of 109 s. They also made the simulation of
+machines with friction or several contacts 11 to 17 % slower.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The record of a motion in kernels, with its counts and status codes."""
+"""The record of a motion in kernels: its state, its tangent vectors, its counts, and status codes."""
 
 from typing import Any, NamedTuple
 

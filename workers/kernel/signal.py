@@ -127,8 +127,8 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
     q0, q1  q and q' now
     pull    contribution of the load to q'', see ``loaded_output``
 
-    For the other arguments see Block. The bounds are those of ``amplitude_bounds`` for an oscillating block, d > 0,
-    else the smaller of two.
+    For the other arguments see Block. The bounds are those of ``amplitude_bounds`` for an oscillating block, d > 0. For
+    other blocks each is the smaller of two bounds.
 
     The first bound is sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows. The second holds in a
     well overdamped block: the moduli of both exponentials, |alpha| slow^k + |beta| fast^k.

@@ -29,7 +29,7 @@ DEPENDENT = 1e-12
 
 @inlined
 def inner(blocks, V, i, W, k):
-    """Return the product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k].
+    """Return the inner product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k].
 
     For vectors in block coordinates, j numbers the decoupled equations of motion. Undamped flight conserves this
     product.
@@ -108,9 +108,10 @@ def log_length(blocks, V, growth):
 
 @kernel
 def add_row(triangle, growth, i, k, factor):
-    """Add the elimination of vector k by ``factor`` times vector i to ``triangle``, the product of all factors so far.
+    """Record in ``triangle`` that ``factor`` times tangent vector i was subtracted from vector k.
 
-    ``growth`` is the log of the length removed from each vector so far, with which rows of the triangle are scaled.
+    The triangle is the product of all factors of the orthonormalisation so far. Its rows are scaled by ``growth``, the
+    log of the length removed from each vector so far.
     """
     if factor != 0.0:  # exp(...) may be infinite between uncoupled blocks
         factor *= exp(growth[k] - growth[i])
@@ -238,7 +239,7 @@ def fly_far(oscillator, motion, s):
 
 @kernel
 def reset_frame(blocks, motion):
-    """Make the frame of a motion, its tangent vectors, orthonormal in place.
+    """Make the tangent vectors of a motion, its frame, orthonormal in place.
 
     The logarithm of the length of each vector is added to its growth.
     """

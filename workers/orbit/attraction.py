@@ -58,8 +58,8 @@ def add_product(target, left, right):
 def shrinking_norm(blocks, J, contraction):
     """Return the matrix P (2n, 2n) of a norm sqrt(d.P d) in which J (2n, 2n) shrinks every deviation d.
 
-    P is NaN if no such norm is found. ``blocks`` are constants of the decoupled equations of motion, whose energy norm
-    is the start. ``contraction`` is 1 - |mu|, with mu the multiplier of J of largest modulus.
+    P is NaN if no such norm is found. ``blocks`` are constants of the decoupled equations of motion, in whose energy
+    norm |d| is taken. ``contraction`` is 1 - |mu|, with mu the multiplier of J of largest modulus.
 
     For the sum over k < K see the head of this module. The sum to 2K is P + (A^K)' P A^K: all terms are squares, so
     there is no cancellation.

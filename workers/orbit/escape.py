@@ -27,10 +27,11 @@ def future_of(blocks, numbers, h, offset, low, high):
 
     The result is BEHIND, INSIDE, or REACHED if the future is uncertain.
 
-    The signal plus ``offset`` has an event at its ends ``low`` and ``high``; it is the guard of ``blocks``, see
-    GuardedFlow. BEHIND: the fastest growth a e^(r s), r real, moves the signal away from its only end, and the other
-    terms are at most M e^(m s). Then y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s
-    = 0 and a r >= M m. INSIDE: nothing grows in the signal, m = 0 and a = 0, and M keeps it between its ends.
+    The signal plus ``offset`` has an event at its ends ``low`` and ``high``; ``blocks`` and ``numbers`` describe it,
+    see GuardedFlow. BEHIND: the fastest growth a e^(r s), r real, moves the signal away from its only end, and the
+    other terms are at most M e^(m s). Then y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is
+    positive at s = 0 and a r >= M m. INSIDE: nothing grows in the signal, m = 0 and a = 0, and M keeps it between its
+    ends.
     """
     first, r = 0, 0.0
     for j in range(len(blocks)):

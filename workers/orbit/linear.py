@@ -1,7 +1,7 @@
 """Motion without contacts and friction: its map z -> J z + c over a period is affine, and so known for all states.
 
-The matrices of such a machine may change with phases, parts of the forcing period. Other machines are treated so while
-their motion certainly meets no contact and phases change contacts alone.
+The matrices of such a machine may change with phases, parts of the forcing period. Other machines are treated in the
+same way while their motion certainly meets no contact and phases change contacts alone.
 """
 
 from typing import NamedTuple
@@ -136,8 +136,14 @@ def affine_maps(oscillators, mode, states, cells, cycles):
 def linear_orbits(oscillators: Oscillator, motions: Motion, cells: Rows, orbits: PeriodicOrbits, spent: Rows) -> Rows:
     """Return the future of each of these motions, which never meet a contact: STAYS, GROWS or UNKNOWN.
 
-    Write the limit of the motion, or its own state if it continues forever, and its exponents into the rows of
-    ``orbits``. Write the periods spent into ``spent`` (N,). Multipliers of modulus one to rounding have exponents of 0.
+    oscillators  batch of machines
+    motions      batch of motions
+    cells        rows of the motions
+    orbits       PeriodicOrbits; the limit of a motion, or its own state if it continues for ever, is written with its
+                 exponents
+    spent        (N,) number of periods simulated, written
+
+    Multipliers of modulus one to rounding have exponents of 0.
     """
     verdicts, starts = np.full(len(cells), UNKNOWN), motions.h[cells]
     contacts = oscillators.table.elements.row.shape[1] > 0

@@ -49,12 +49,12 @@ PROVED: a stable orbit that is."""
 
 
 class PeriodicOrbit(NamedTuple):
-    """A closed orbit of m steps of the map, with its multipliers.
+    """A periodic orbit that closes after m steps of the map, with its multipliers mu.
 
     h          (n, 2) state of the decoupled equations on the orbit, at t = k T
     mode       number of the mode there, the set of linear equations that holds
     steps      m
-    half       True if a step is half a period (map G)
+    half       True if a step is half a period (map G), else a period
     exponents  (2n,) ln|mu| / period, in any order; -infinity in directions that are structurally lost
     error      rounding error of the exponents
     """

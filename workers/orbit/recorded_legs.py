@@ -27,7 +27,7 @@ class RecordedLeg(NamedTuple):
     signal  signal that reaches an end of its range; -1 if the phase changes or the motion begins
     side    end that the signal reaches, -1 or 1; 0 if the phase changes or the motion begins
     rate    rate of change of the signal at the event
-    code    mode after the event
+    code    code of the mode after the event
     begun   (G,) for each signal of the mode, the end of its range at which it starts, 0 for none, see hybrid.events
     """
 

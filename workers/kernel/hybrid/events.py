@@ -1,12 +1,15 @@
-"""Events of a machine with modes, where a guard falls to zero: the reset map, and the mode that follows.
+"""Events of a machine, the jump of the state there, and the law of motion that follows.
+
+A mode is one set of linear equations of motion. It ends where a signal of the state, its guard, reaches an end of its
+range. The reset map is the jump of the state there.
 
 An event at guard r, reached at the rate r', takes a tangent vector w to
 
     S w = R w + (f+ - R f-) (r . w) / r',
 
-with f the right-hand sides before and after the event and R the linear part of the reset map. ``signal_starts`` holds,
-for each signal, the end of its range at which it starts in the next mode. The modulus is the order of its first nonzero
-derivative there, see crossing.next_crossing.
+with f- and f+ the right-hand sides before and after the event and R the linear part of the reset map. ``signal_starts``
+holds, for each signal, the end of its range at which it starts in the next mode. The modulus is the order of its first
+nonzero derivative there, see crossing.next_crossing.
 """
 
 import numpy as np
@@ -80,10 +83,10 @@ def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts)
 
 @inlined
 def follow_one(modes, elements, k, phase_index, states, slips, z, harmonics, signal_starts):
-    """Change the state of the contact or friction whose signal, the first such of mode k, is beyond its range.
+    """Find the first signal of mode k that is beyond its range, and change the state of its contact or friction.
 
-    Return True if there was such a signal. States (C,), slips (F,) and ``signal_starts`` (G,) change in place. A mode
-    is one set of linear equations between two events.
+    Return True if a signal is beyond its range. States (C,), slips (F,) and ``signal_starts`` (G,) change in place. A
+    mode is one set of linear equations between two events.
     """
     C, ends = len(states), modes.ends[k]
     for g in range(SIGNALS * C + len(slips)):
@@ -149,7 +152,7 @@ def go_on(signal_starts, g, side):
 
 @kernel
 def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmonics, signal_starts):
-    """Pass an event of friction e: begin of a slip, end of a slide, or another segment of the law.
+    """Carry a motion through an event of friction e: begin of a slip, end of a slide, or another segment of the law.
 
     g, side    the signal of the friction, and the end of its range that is reached
     z (2n,)    physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
@@ -200,7 +203,7 @@ def other_push(state):
 
 @inlined
 def soft_event(g, c, side, states, signal_starts):
-    """Pass an event of soft contact c, at which nothing jumps, and change its state in ``states`` in place.
+    """Change the state of soft contact c in ``states``, in place, at an event of the contact; nothing jumps.
 
     g, side        signal that is reached, and the end of its range
     signal_starts  start of each signal, see the head of this module
@@ -221,7 +224,9 @@ def soft_event(g, c, side, states, signal_starts):
 
 @kernel
 def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, phase, harmonics, signal_starts):
-    """Pass an impact on a rigid contact: the state jumps. Return the outcome, and the remaining time of a chatter.
+    """Carry a motion through an impact on a rigid contact.
+
+    Return the outcome, and the remaining time if the impact is one of a chatter.
 
     k, g         index of the mode (set of linear equations) before the impact, and its signal that reached the stop
     c, side      the contact and the side of its stop

@@ -1,4 +1,4 @@
-"""Record of the legs of a period; a leg is the motion in one mode, together with the event that begins it.
+"""Record of the legs of a period; a leg is the motion between two events, in one set of linear equations.
 
 The loop of ``hybrid/motion`` writes the records.
 """

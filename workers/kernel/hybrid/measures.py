@@ -192,7 +192,9 @@ def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h
 
 @kernel
 def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, h, phase, s, tally):
-    """Add the measures of a contact that is not open, on a leg from state z to state ``end``, except its damper's loss.
+    """Add the measures of a contact that is not open on a leg, from state z to ``end``, to ``reading`` in place.
+
+    The loss of its damper is not included.
 
     phase_index     phase of the machine, a part of the forcing period with constants of its own
     c, side, state  the contact, the side of its stop, and its state without that side's sign, see hybrid_modes.ON

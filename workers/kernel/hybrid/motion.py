@@ -1,6 +1,7 @@
-"""The loop that moves a machine with modes: solve one mode, find its first guard, apply the reset map, change the mode.
+"""The loop that moves a machine with modes: solve one mode, find its first event, jump there, change the mode.
 
-A mode is one set of linear equations; a guard is a signal whose end is an event; a reset map is the jump there.
+A mode is one set of linear equations of motion. It ends at an event, where a signal of the state, its guard, reaches an
+end of its range. The jump of the state there is called the reset map.
 """
 
 import numpy as np
@@ -60,12 +61,12 @@ def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
     result=types.boolean, modes=True,
 )  # fmt: skip
 def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
-    """Advance machine r to its next event, the end of its current leg, and pass the event.
+    """Advance machine r to its next event, the end of its current leg, and through the event.
 
-    A leg is the motion between two events.
+    trajs, slot  batch of trajectories, and the row of the machine's trajectory
 
-    ``trajs`` is a batch of trajectories, with that of the machine in row ``slot``. Return True if the trajectory is
-    over. Return False if it continues, or if it cannot be followed. For the arguments see ``through_modes``.
+    A leg is the motion between two events. Return True if the trajectory is over. Return False if it continues, or if
+    it cannot be followed. For the other arguments see ``through_modes``.
     """
     table, trip = row_in(tables, r), row_in(trajs, slot)
     k, phase, H = trip.indices[INDEX.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
@@ -97,7 +98,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, contacts, legs, du
 
 @kernel
 def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, legs, duration):
-    """Do the work of ``through_modes``, with work arrays ``trajs`` for a single trajectory.
+    """Apply ``through_modes``, the advance of a state through its events, with work arrays ``trajs``.
 
     It is a kernel of its own, since references live as long as the function that created them.
     """
@@ -191,7 +192,7 @@ def store_motion(to_blocks, omega, motion, traj, more, resets):
 
 @kernel
 def take_on(oscillator, motion, trajs, more, duration):
-    """Do the work of ``through_events``, with work arrays ``trajs`` for a single trajectory.
+    """Apply ``through_events``, the advance of a motion, with work arrays ``trajs`` for one trajectory.
 
     It is a kernel of its own, since references live as long as the function that created them.
     """

@@ -14,7 +14,7 @@ from workers.model.hybrid_modes import ON
 
 @inline_always
 def remove_held_motion(elements, states, lost, V):
-    """Remove from tangent vectors V (m, n, 2), in place, the motion of coordinates that stick: neighbours stop as well.
+    """Remove the motion of coordinates that stick from tangent vectors V (m, n, 2), in place: neighbours stick too.
 
     elements    contacts and frictions of the machine
     states (C,) states of the contacts

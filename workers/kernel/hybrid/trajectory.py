@@ -197,8 +197,10 @@ def make_trajectories(table, N, n, m, framed, square):
 def stop_at(table, tally, k, number):
     """Set the status of a motion, in its counts ``tally``, that cannot continue since there is no next mode.
 
-    k       negative code in place of the mode (set of linear equations)'s index, see events.mode_of
-    number  number of the mode; a mode that is not built is noted in the table
+    k       negative code in place of the mode's index, see events.mode_of
+    number  number of the mode; if the mode is not built, its number is written to the table
+
+    A mode is one set of linear equations of motion.
     """
     if k == MISSING:
         tally[STATUS] = MODE_MISSING
@@ -211,10 +213,11 @@ def stop_at(table, tally, k, number):
 def fly(modes, k, s, traj, drifts, flown):
     """Advance the state and the tangent vectors of a trajectory by a flight of duration s in mode k, in place.
 
-    ``drifts`` is 1 if a coordinate drifts, else 0. With ``flown``, traj.flow already holds the flow over s. The frame,
-    the set of tangent vectors, is made orthonormal before the flight. A mode is a set of linear equations. Directions
-    removed by an event are therefore detected before the flight turns rounding into directions. Multipliers are then
-    known to rounding.
+    ``drifts`` is 1 if a coordinate drifts, else 0. With ``flown``, traj.flow already holds the flow over s. A mode is a
+    set of linear equations.
+
+    The frame, the set of tangent vectors, is made orthonormal before the flight. Directions removed by an event are
+    therefore detected before the flight turns rounding into directions. Multipliers are then known to rounding.
     """
     blocks, h, V, growth, flows = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow
     if growth.shape[0] > 0:
@@ -414,9 +417,9 @@ def is_soft(table, reached):
 
 @inlined
 def strike_soft(table, traj, contacts):
-    """Pass the event of a soft contact that a trajectory has reached, and count it; see events.soft_event.
+    """Carry a trajectory through the event of a soft contact that it has reached, and count a contact that begins.
 
-    ``contacts`` (K, 3) are records of contacts, see motion.through_modes.
+    ``contacts`` (K, 3) are records of contacts, see motion.through_modes. See also events.soft_event.
     """
     clock, indices = traj.clock, traj.indices
     g, side = indices[INDEX.hit], indices[INDEX.side]
@@ -429,7 +432,7 @@ def strike_soft(table, traj, contacts):
 
 @inline_always
 def strike_hard(table, traj, contacts):
-    """Pass the event of friction or of a rigid contact that a trajectory has reached.
+    """Carry a trajectory through the event of friction or of a rigid contact that it has reached.
 
     Return True if the next mode, the set of linear equations that holds next, is still to be found. ``contacts`` (K, 3)
     are records of contacts, see motion.through_modes.
@@ -459,7 +462,7 @@ def strike_hard(table, traj, contacts):
 
 @inline_always
 def strike_stop(table, traj, g, c, side, contacts):
-    """Pass an impact on rigid contact c: the state jumps, counts are added, and the rest of a chatter is noted.
+    """Carry a trajectory through an impact on rigid contact c, count it, and estimate the rest of a chatter.
 
     g, side   number of the signal that has reached a stop, and the side of the stop
     contacts  records of impacts, see motion.through_modes
@@ -489,7 +492,7 @@ def strike_stop(table, traj, g, c, side, contacts):
 
 @kernel
 def carry(table, traj, mode):
-    """Carry the tangent vectors of a trajectory through the event just passed, by its saltation matrix, in place.
+    """Carry the tangent vectors of a trajectory through the event that it has just passed, by the saltation matrix.
 
     ``mode`` is the index of the mode (set of linear equations) before the event. The change of volume is added to the
     counts.
@@ -514,7 +517,7 @@ def carry(table, traj, mode):
     FLOATS[2], types.boolean, result=types.boolean, modes=True,
 )  # fmt: skip
 def finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs, flown):
-    """End the current leg of machine r after the time s: pass the event at its end, if any, and find the next mode.
+    """Advance machine r by the time s to the end of its leg, through the event there, if any, and to the next mode.
 
     A leg is the motion in one mode, a set of linear equations, between two events.
 

@@ -3,8 +3,8 @@
 A mode is one set of linear equations of motion, and a leg the motion in one mode, from one event to the next. A lane is
 a slot that holds one motion. A signal is a number computed from the state; at an end of its range there is an event.
 Every signal of a lane has the fields of a gap, see ``layout.py``. The same passes search it, with the ends of its range
-as stops. ``records`` (U, size) are the fields of U signals; the first record also holds the blocks' flow and the time.
-The kernels of one motion pass the events, which few lanes have.
+as stops. ``records`` (U, size) are the fields of U signals; the first record also holds the time, and the flow of the
+blocks, the decoupled equations. The kernels of one motion carry it through its events, which few lanes have.
 """
 
 import math

@@ -2,8 +2,8 @@
 
 A mode is one set of linear equations, and a leg the motion in one mode between two events. Vectorised loops search for
 the events in lanes, slots that hold one motion each. A lane whose motion has finished takes the next one of the queue.
-``hybrid/trajectory.py`` passes the events, one motion at a time. A leg is searched as in ``hybrid/motion.py`` if it
-begins at rest at an end of a signal's range, hops in a chatter, or may grow.
+``hybrid/trajectory.py`` carries motions through their events, one at a time. A leg is searched as in
+``hybrid/motion.py`` if it begins at rest at an end of a signal's range, hops in a chatter, or may grow.
 """
 
 from typing import NamedTuple
@@ -49,7 +49,7 @@ class LegSearch(NamedTuple):
     """Work arrays for the search for the events of many motions of n coordinates, each in a lane, a slot of the loops.
 
     records, legs       fields of the lanes, see ``legs.py``
-    signals (U,)        numbers of the signals whose events are sought (set of linear equations)
+    signals (U,)        numbers of the signals whose events are sought
     lane_cells (LANES,) cell of each lane
     slots (LANES,)      row of its trajectory in the batch of trajectories
     before (LANES,)     log of the length of the first tangent vector of each trajectory, at the start of the period
@@ -107,7 +107,7 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
 
 @kernel
 def take_along(batch, cells, trajs, search, enough, lanes, more):
-    """Do the work of ``run_through_modes``, with work arrays ``trajs`` and ``search``.
+    """Apply ``run_through_modes``, the advance of cells by their periods, with work arrays ``trajs`` and ``search``.
 
     ``more`` is the number of tangent vectors added in front, for the direction of a drift.
     """
@@ -183,7 +183,7 @@ def begin_period(batch, trajs, r, slot, more):
 
 @inline_always
 def pass_alone(batch, trajs, search, r, slot):
-    """Advance cell r to the end of its current leg and past the event there, by the kernels of one motion.
+    """Advance cell r to the end of its current leg, and through the event there, by the kernels of one motion.
 
     Return True if its period is over. A leg is the motion in one mode, a set of linear equations, from one event to the
     next.
@@ -194,7 +194,7 @@ def pass_alone(batch, trajs, search, r, slot):
 
 @inline_always
 def pass_found(batch, trajs, search, r, slot, i):
-    """Advance cell r to the event that the search has found, the end of its current leg, and past the event.
+    """Advance cell r to the event that the search has found, the end of its current leg, and through the event.
 
     ``i`` is the lane in which the loops hold the cell. Return True if the period of the cell is over. A leg is the
     motion between two events.

@@ -1,4 +1,4 @@
-"""One round of a batch: each lane takes its next certified step, or passes the impact or end of period it has reached.
+"""One round of a batch: each lane takes its next certified step, or passes an impact or the end of a period.
 
 A lane is a slot of vectorised loops that holds one cell. A certified step is a time in which no stop can be reached. A
 lane's results do not depend, to the bit, on the number and content of other lanes or on its position.

@@ -209,7 +209,7 @@ def go_alone(batch, r):
 
 @kernel
 def run_alone(batch, cells):
-    """Do the work of ``run_batch`` for cells whose motion may grow, one after the other."""
+    """Apply ``run_batch``, the advance of cells by their periods, to cells whose motion may grow, one by one."""
     batch = by_reference(batch)
     for r in cells:
         if batch.completed[r] == 0:

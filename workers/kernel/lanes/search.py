@@ -83,7 +83,7 @@ def list_lanes(a, field, n, lane_list):
     """Write the numbers of the lanes whose field is positive to ``lane_list``, and return how many they are.
 
     A lane holds one cell. ``field`` is the offset of the field in the array a of all lanes' fields; the first n lanes
-    (one cell each) count. The loop is branch-free, since the processor would often mispredict a branch.
+    count. The loop is branch-free, since the processor would often mispredict a branch.
     """
     count = 0
     for i in range(n):

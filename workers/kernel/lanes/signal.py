@@ -87,9 +87,9 @@ def harmonic_pass(a, q, order, n):
 
 @inlined
 def output_of(q, i, h0, h1):
-    """Return the contribution of a block in the state (h0, h1) to the gap coordinate of cell i, with three derivatives.
+    """Return the contribution of a block in the state (h0, h1) to the gap coordinate in lane i, with three derivatives.
 
-    A block is a decoupled equation of motion, with fields q. See signal.block_output.
+    A lane holds one cell. A block is a decoupled equation of motion, with fields q. See signal.block_output.
     """
     eta, lam = q[BLOCK.eta + i], q[BLOCK.lam + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
@@ -109,7 +109,9 @@ def loaded_output_of(q, i, h0, h1):
 
 @inlined
 def state_after(q, i, flow):
-    """Return the state of one block of cell i, a decoupled equation, now: after the flow since the start of the flight.
+    """Return the state of one block, a decoupled equation, in lane i after the flow since the start of the flight.
+
+    A lane holds one cell.
 
     flow  four numbers of the flow's matrix, see flow.flow_entries; they are stored
     """
@@ -124,9 +126,9 @@ def state_after(q, i, flow):
 
 @inlined
 def add_share(a, q, i, h0, h1, share):
-    """Store the state (h0, h1) of a block, and add its contribution ``share`` to the gap coordinate of cell i.
+    """Store the state (h0, h1) of a block, and add its contribution ``share`` to the gap coordinate in lane i.
 
-    A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
+    A lane holds one cell. A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
     """
     q0, q1, q2, q3 = share
     q[BLOCK.h0 + i] = h0
@@ -167,10 +169,10 @@ def block_pass(a, q, n):
 
 @kernel
 def restart_pass(a, n):
-    """Reset the sums for the gap coordinate at the start of a flight, and for its bounds there and at renewals.
+    """Reset the sums that make up the gap coordinate and its bounds, in each of n cells where they are computed anew.
 
-    At the start of a flight the gap coordinate of a cell begins with the forced part. Its bounds begin with those of
-    the forced part. Other cells keep their values.
+    The gap coordinate is reset at the start of a flight, and begins with the forced part. Its bounds are reset at
+    renewals as well, and begin with those of the forced part. Other cells keep their values.
     """
     for i in range(n):
         y, v, second, third = (
@@ -196,10 +198,10 @@ def restart_pass(a, n):
 
 @inlined
 def state_at_start(a, q, i):
-    """Return the state of a block of cell i from which new bounds follow: its state now, after the kick of an impact.
+    """Return the state of a block in lane i from which new bounds follow: its state now, after the kick of an impact.
 
-    A block is a decoupled equation of motion. An impact has just kicked it if a flight starts. The state at the start
-    of the flight is then stored.
+    A lane holds one cell. A block is a decoupled equation of motion. An impact has just kicked it if a flight starts.
+    The state at the start of the flight is then stored.
     """
     fresh = a[LANE.starts + i] > 0.0
     g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
@@ -214,9 +216,9 @@ def state_at_start(a, q, i):
 
 @inlined
 def share_at_start(a, i, share):
-    """Add a block's contribution ``share`` to the gap coordinate of cell i, if a flight of the cell starts.
+    """Add a block's contribution ``share`` to the gap coordinate in lane i, if a flight starts there.
 
-    A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
+    A lane holds one cell. A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
     """
     fresh = a[LANE.starts + i] > 0.0
     q0, q1, q2, q3 = share
@@ -235,9 +237,9 @@ def amplitude_factors(q, i):
 
 @inlined
 def add_bounds(a, i, bounds):
-    """Add the bounds of a block, a decoupled equation, to those of the gap coordinate of cell i.
+    """Add the bounds of a block, a decoupled equation, to those of the gap coordinate in lane i.
 
-    Nothing is added in cells whose bounds are not renewed.
+    A lane holds one cell. Nothing is added in lanes whose bounds are not renewed.
     """
     renew = a[LANE.renews + i] > 0.0
     b0, b2, b3, b4 = bounds
@@ -277,8 +279,9 @@ def bounds_pass(a, q, n):
 
 @inline_always
 def renewal_pass(a, blocks, oscillates, n):
-    """Set the gap coordinate at the start of a flight, and its bounds there and at renewals, in each of n cells.
+    """Compute the gap coordinate anew at the start of a flight, and its bounds there and at renewals, in n cells.
 
+    a           fields of all cells
     blocks      number of blocks, the decoupled equations of motion
     oscillates  whether all are underdamped in all cells
     """

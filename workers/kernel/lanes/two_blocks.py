@@ -1,8 +1,8 @@
 """Tangent vectors of machines with two blocks (two masses), four for each cell: all four at a time, in registers.
 
-Each function is a loop over lanes, slots that hold one cell each, or over frames, the sets of four vectors. The results
-have the same bits as the passes of ``frames.py``, which take one vector at a time. Arrays are flat with constant
-offsets, see ``layout.py``.
+Each function is a loop over lanes, slots that hold one cell each, or over cells that were gathered. The results have
+the same bits as the passes of ``frames.py``, which take one vector at a time. Arrays are flat with constant offsets,
+see ``layout.py``.
 """
 
 import math
@@ -91,7 +91,7 @@ def orthonormalise_frames(metric, rank, U, growth, count):
 
 @inlined
 def flown(a, i, flows, u):
-    """Return the tangent vector u, four numbers, after the flight just completed in cell i.
+    """Return the tangent vector u, four numbers, after the flight just completed in lane i, which holds one cell.
 
     ``flows`` is True if a flight has been completed; otherwise u is returned unchanged.
     """
@@ -105,7 +105,7 @@ def flown(a, i, flows, u):
 
 @inlined
 def along(a, i, column0, column1, w):
-    """Return the product of tangent vector w with a row of the gap coordinate of cell i.
+    """Return the product of tangent vector w with a row of the gap coordinate of the cell in lane i.
 
     The row is given by the offsets column0 and column1 of its numbers in each of both decoupled equations.
     """
@@ -116,7 +116,10 @@ def along(a, i, column0, column1, w):
 
 @inlined
 def kicked(a, i, w):
-    """Return the tangent vector w after the impact of cell i, see contact.saltation; w itself if there is no impact."""
+    """Return the tangent vector w after the impact of the cell in lane i; w itself if there is no impact.
+
+    See contact.saltation.
+    """
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     dy, dv = along(a, i, BLOCK.c0, BLOCK.c1, w), along(a, i, BLOCK.cA0, BLOCK.cA1, w)
     along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
