@@ -60,8 +60,8 @@ def start_at(oscillator, state, h):
     """Convert a physical state to a state h (n, 2) of the decoupled equations of motion, and return its mode's number.
 
     The physical state (2n,) has displacements, then velocities, at an instant of fixed phase of the force. Row j of h
-    is (h, h') of decoupled equation j, without the forced response. The mode is the set of linear equations that holds
-    next. The number is BEYOND if the state is beyond a stop.
+    is (h, h') of equation j, without the forced response. The mode is the set of linear equations that holds next. The
+    number is BEYOND if the state is beyond a stop.
     """
     if has_modes(oscillator):
         return start_hybrid(oscillator, state, h)
@@ -115,13 +115,14 @@ def side_of(y, error, upper, lower):
 
 @kernel
 def put_on_stop(row, stop, x):
-    """Set one coordinate of x so that g . x = ``stop``, the coordinate with the largest weight in the gap row g.
+    """Set one coordinate of a state x, in place, so that the gap coordinate g . x is exactly on a stop.
 
-    row  (n,)          gap row g
+    row  (n,)          row g
+    stop               position of the stop
     x    (n or more,)  a state, of which only the first n numbers count
 
-    g . x then equals the stop to rounding, see ROW_ROUNDING. It equals the stop exactly if it is one coordinate with
-    weight +-1.
+    The coordinate is the one with the largest weight in g. g . x then equals the stop to rounding, see ROW_ROUNDING. It
+    equals the stop exactly if it is one coordinate with weight +-1.
     """
     k, others = 0, 0.0
     for i in range(len(row)):

@@ -139,7 +139,7 @@ def products(metric, u, w, partial, count):
 def normalise_pass(metric, rank, k, u, growth, partial, count):
     """Scale tangent vector k of each of ``count`` cells to unit length, one step of tangent.orthonormalise.
 
-    metric (2 n STRIDE,)  metric of each block (decoupled equation), at its first number (decoupled equation)
+    metric (2 n STRIDE,)  metric of each block (decoupled equation), at its first number
     rank   (STRIDE,)      number of directions of each cell that exist
     u      (2 n STRIDE,)  numbers of the vector, see ``entry``
     growth (STRIDE,)      growth of the vector in each cell
@@ -205,12 +205,12 @@ def workspace(m, n):
 def spread_pass(a, limit, n):
     """Decide for each lane (one cell) how its tangent vectors pass the flight and the impact just completed.
 
-    a      fields of all lanes (one cell each); those of the frame change
-    limit  largest stretch of a frame, as a logarithm, before it is made orthonormal
+    a      fields of all lanes; those about the tangent vectors change
+    limit  largest stretch of some tangent vectors relative to others, as a logarithm
     n      number of lanes
 
-    Return how many frames must be made orthonormal first. A frame is the set of tangent vectors of one lane. A long
-    flight is a reason as well.
+    Return the number of lanes whose tangent vectors must be made orthonormal first, since they would stretch beyond the
+    limit.
     """
     count = 0
     for i in range(n):
