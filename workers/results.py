@@ -116,7 +116,7 @@ class Variable:
     long_name, units  CF attributes
     extra_dims        dimensions after the dimensions of the cells: "attractor" (number of attractors kept), "exponent"
                       (2n), "state" (2n), "sample" (section_samples)
-    sparse            True if most tiles hold only the fill value; such tiles are stored without a chunk
+    sparse            True if most blocks of cells have only the fill value; such blocks are not stored
     label             short words for tables and lists; empty if the name suffices
     regimes           codes of the regimes in which cells have this result
     allows_infinite   True if a negative value stands for infinitely many, at rest on a stop

@@ -1,4 +1,4 @@
-"""``solve_tile``: the results of every cell of a tile, as arrays, from arrays of parameters."""
+"""``solve_tile``: the results of every cell of a tile, a block of cells, as arrays, from arrays of parameters."""
 
 import math
 import sys

@@ -73,7 +73,10 @@ def meets_nothing(oscillator, h, mode):
 
 @kernel
 def contact_free(oscillators, motions, cells):
-    """Return the mask of motions of machines with modes that certainly never meet a contact, see meets_nothing."""
+    """Return the mask of the motions that certainly never meet a contact, see meets_nothing.
+
+    All machines have modes, sets of linear equations of motion that hold between two events.
+    """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):

@@ -2,8 +2,8 @@
 
 P is the map over one forcing period. For a symmetric gap an orbit of odd period m is first sought as an orbit of the
 half-period map G, which mirrors the state so that G o G = P. An orbit that closes after m steps of G is symmetric with
-period m. The maps belong to a section near which the motion meets no stop, see ``orbit.section``; results refer to the
-section t = k T.
+period m. The maps take states from period to period, at instants near which the motion meets no stop, see
+``orbit.section``. Results refer to the instants t = k T.
 """
 
 import math

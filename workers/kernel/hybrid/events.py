@@ -143,9 +143,9 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
 def go_on(signal_starts, g, side):
     """Let signal g begin the next mode at the end ``side`` of its range, with the rate that it has now; nothing jumps.
 
-    The start is written to ``signal_starts``. If the signal also left the mode (set of linear equations) before it in
-    no time, rounding hides its derivatives and the start is UNCLEAR. Otherwise a signal at rest on its end would change
-    the mode for ever.
+    A mode is a set of linear equations, and a signal at an end of its range ends it. The start is written to
+    ``signal_starts``. If the signal also left the mode before it in no time, rounding hides its derivatives and the
+    start is UNCLEAR. Otherwise a signal at rest on its end would change the mode for ever.
     """
     signal_starts[g] = side * (UNCLEAR if signal_starts[g] * side < 0 else 1)
 

@@ -43,10 +43,12 @@ LEG_STATE = len(LEG)
 
 @inline_always
 def write_leg(row, t, signal, side, rate, number, mode, duration, chatter, z, signal_starts):
-    """Write one leg of a motion, the part between two events, to a row of the records of legs, see LegRecord.
+    """Write the record of one leg, the motion between two events, to ``row``, a row of the records of legs.
 
     z (2n,)              state at the start of the leg
     signal_starts (G,)   for each signal, the end of its range at which it starts, see ``events.py``
+
+    For the other arguments see LegRecord.
     """
     row[LEG.start], row[LEG.signal], row[LEG.side], row[LEG.rate] = t, signal, side, rate
     row[LEG.number], row[LEG.mode], row[LEG.duration], row[LEG.chatter] = number, mode, duration, chatter

@@ -105,7 +105,9 @@ class MeasureTotals(NamedTuple):
 
 @kernel
 def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s, tally):
-    """Add the integrals over a flight of duration s in mode k, one set of linear equations, to ``reading`` in place.
+    """Add integrals over a flight of duration s in mode k, one set of linear equations, to ``reading`` in place.
+
+    The integrals are those of each output, of its square, and of the powers of dampers and of friction.
 
     table           ModeTable of the machine
     meter, reading  MeasurePlan and MeasureTotals of the machine

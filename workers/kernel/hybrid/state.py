@@ -25,7 +25,8 @@ ROW_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 def number_of(elements, states, slips, phase_index):
     """Return the number that encodes a mode: its phase, the states of its contacts and the slips of its frictions.
 
-    A mode is one set of linear equations of motion. For the code see hybrid_modes.ModeCode.
+    A mode is one set of linear equations of motion, and its phase a part of the forcing period. For the code see
+    hybrid_modes.ModeCode.
     """
     number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for state in states:
@@ -39,7 +40,8 @@ def number_of(elements, states, slips, phase_index):
 def read_number(elements, number, states, slips):
     """Decode the number of a mode: write its states of contacts (C,) and slips of frictions (F,), and return its phase.
 
-    A mode is one set of linear equations of motion. For the code see hybrid_modes.ModeCode.
+    A mode is one set of linear equations of motion, and its phase a part of the forcing period. For the code see
+    hybrid_modes.ModeCode.
     """
     half, most = 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for f in range(len(slips) - 1, -1, -1):

@@ -135,8 +135,8 @@ class HybridTrajectory(NamedTuple):
 
     clock                     times, see TrajectoryTimes
     indices                   whole numbers, see TrajectoryIndices
-    h (n, 2), V (m, n, 2)     state and tangent vectors at the start of the leg, in coordinates of its decoupled equations
-    flow (n, 6)               flow of each equation over the leg: its entries, see flow.flow_entries, and (h, h') after it
+    h (n, 2), V (m, n, 2)     state of the decoupled equations, and tangent vectors, at the start of the leg
+    flow (n, 6)               flow of each equation over the leg, see flow.flow_entries, and (h, h') after it
     z (2n,), W (m, 2n)        physical state and tangent vectors at an event
     turn (H, 2)               harmonics of the force at the event, see state.harmonics_at
     before, after (2n,)       rates of z before and after the event

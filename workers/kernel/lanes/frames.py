@@ -1,13 +1,13 @@
-"""The tangent frames of the lanes of a batch: flights, impacts and orthonormalisation.
+"""The tangent vectors of many cells at once: their change by flights and impacts, and their orthonormalisation.
 
 A lane is a slot of loops over cells, which holds one cell. Its frame is the set of tangent vectors of that cell. Every
 round loops over the first n lanes. A lane still in flight keeps its frame by a mask, which costs less than gathering
-the others. ``u`` are the fields of one vector, see ``entry``.
+the other lanes. ``u`` are the fields of one vector, see ``entry``.
 
-A block is one decoupled equation of the motion. Sums over blocks take two blocks at a time. Those before the last two
-add up in ``partial``. The last two complete the sum and use it at once; the others use it after them. Two blocks make
-one loop. The number of blocks is even, see layout.padded_blocks. Frames of four vectors of two blocks are handled by
-``two_blocks.py``.
+A block is one decoupled equation of the motion. Sums over blocks take two blocks at a time. The blocks before the last
+two add up in ``partial``. The loop over the last two completes the sum and uses it at once; further loops then apply it
+to the other blocks. Two blocks need only one loop. The number of blocks is even, see layout.padded_blocks. Frames of
+four vectors of two blocks are handled by ``two_blocks.py``.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The certified search for impacts in all lanes at once: the next time of each at which no stop has been passed.
+"""The certified search for impacts in all lanes at once: the next time of each lane before which it passes no stop.
 
 A lane is a slot of the loops that holds one cell. Each function is a loop over the first n lanes, and together they are
 one step of the loop of crossing.next_crossing. ``a`` holds the fields of all lanes, see ``layout.py``. Work for few
@@ -96,7 +96,7 @@ def list_lanes(a, field, n, lane_list):
 def gather(a, lane_list, count, c):
     """Copy the gaps between cells and their stops to contiguous arrays in c, for the cells in lanes lane_list[:count].
 
-    For the arrays see GapFields. Return the number over which loops on c run.
+    For the arrays see GapFields. Return the number of cells over which loops on c run.
     """
     for e in range(count):
         i = lane_list[e]
