@@ -255,7 +255,7 @@ _BY_NAME = {
 
 
 def result_named(name: str) -> Variable:
-    """Return the result variable of this name. If the name is not known, return the variable of a float64 number."""
+    """Return the result variable of this name, or that of a plain float64 number if the name is not known."""
     return _BY_NAME.get(name) or _number(name, name)
 
 

@@ -24,11 +24,13 @@ class RecordedLeg(NamedTuple):
     """One leg: the motion in one mode, a set of linear equations, and the event that begins it.
 
     time    time of the event since the start
-    signal  signal that reaches an end of its range; -1 if the phase changes or the motion begins
-    side    end that the signal reaches, -1 or 1; 0 if the phase changes or the motion begins
+    signal  number of the signal that reaches an end of its range; -1 if a phase of the machine or the motion begins
+    side    end that the signal reaches, -1 or 1; 0 if a phase of the machine or the motion begins
     rate    rate of change of the signal at the event
     code    code of the mode after the event
     begun   (G,) for each signal of the mode, the end of its range at which it starts, 0 for none, see hybrid.events
+
+    A phase is a part of the forcing period in which the machine has constants of its own.
     """
 
     time: float

@@ -14,15 +14,16 @@ class LegRecord(NamedTuple):
     The legs of a period are an array (K, LEG_STATE + 2n + G), with NaN after the last one.
 
     start            time since the section, the start of the period
-    signal           signal at an end of its range at the start of the leg; -1 at the start of a motion or phase
-    side             the end of its range, +-1; 0 at the start of a motion or phase
+    signal           signal at an end of its range at the start of the leg; -1 at the start of a motion or of a phase
+    side             the end of its range, +-1; 0 at the start of a motion or of a phase
     rate             rate of that signal
     number           number of the mode, see hybrid_modes.ModeCode
     mode             index of the mode in the table of modes
     duration         time until the next leg
     chatter          first part of the duration, spent hopping, if the leg begins at the end of a chatter
 
-    The initial state (2n,) and the beginning of each of the G signals follow these columns, see ``events.py``.
+    A phase is a part of the forcing period with constants of its own. The initial state (2n,) and the beginning of each
+    of the G signals follow these columns, see ``events.py``.
     """
 
     start: int

@@ -34,13 +34,13 @@ POSITION, RATE, ACCELERATION = range(3)
 
 @kernel
 def longest_panel(blocks, top, since):
-    """Return the longest step on which Gauss integration of a squared output is exact to rounding; see REACH.
+    """Return the longest step of Gauss integration on which the integral of a squared output is exact to rounding.
 
     blocks  decoupled equations of the mode, the set of linear equations that holds
     top     greatest forcing frequency
-    since   time from the start of the leg, the motion in the mode, to the start of the step
+    since   time from the start of the motion in the mode to the start of the step
 
-    An exponential of rate r and decay rate q has decayed by e^(-q since).
+    An exponential e^(r s) with decay rate q has decayed by e^(-q since), which allows a longer step. See REACH.
     """
     longest = REACH / top
     for j in range(len(blocks)):

@@ -197,8 +197,8 @@ def leave(modes, k, h, V, harmonics, z, W):
 def enter_from_section(oscillator, k, h, at):
     """Convert a state h (n, 2) at t = k T to a state ``at`` (n, 2) of the decoupled equations of mode k.
 
-    A mode is one set of linear equations of motion. States at t = k T, a section, are in the same decoupled coordinates
-    in all modes, see Oscillator.
+    A mode is one set of linear equations of motion. At t = k T the coordinates h are the same for all modes, see
+    Oscillator.
     """
     n = h.shape[0]
     z = np.empty((1, 2 * n))

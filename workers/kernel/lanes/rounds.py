@@ -32,8 +32,9 @@ period."""
 def arrival_pass(a, n):
     """Process the event that each of n lanes has reached: jump and counts of an impact, start of the next flight.
 
-    Return two numbers. The first is how many lanes stop at the end of a period or are left to the kernels of one cell.
-    The second is how many need new bounds of their signal. ``a`` are the fields of all lanes.
+    A lane holds one cell; ``a`` are the fields of all lanes. Return two numbers. The first is how many lanes stop at
+    the end of a period or are left to the kernels of one cell. The second is how many need new bounds of the gap
+    coordinate.
     """
     stopping, renewing = 0, 0
     for i in range(n):
