@@ -30,7 +30,7 @@ class Trace(NamedTuple):
     times      (K + 1,) times k T of the sections, the instants at which the force has one fixed phase
     states     (K + 1, 2n) displacements, then velocities, at the sections; the initial state first
     impacts    (N, 3) time, side and speed before the impact, of every impact. The side is +1 for the upper and -1 for
-               the lower stop. For contact c of a machine with several contacts, soft contacts or friction it is
+               the lower stop. For contact c of a machine whose law changes by more than one rigid contact it is
                +-(1 + c). Of the infinitely many impacts of a chatter, those above rounding are listed. A row of speed 0
                marks the end of the chatter, where the mass comes to rest on the stop
     exponents  (K, m) running means of the Lyapunov exponents per period. m is 0, 1 or the number of all exponents, as

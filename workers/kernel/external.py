@@ -1,8 +1,8 @@
 """Functions compiled once and called through a pointer, instead of being compiled again into each calling kernel.
 
 Such a function has one signature. Its pointer is linked by its name, the symbol, which a cached kernel looks up while
-it is loaded. Some functions are only for machines with several contacts, soft contacts or friction. They are compiled
-when a kernel first receives such a machine; until then their pointers are null.
+it is loaded. Some functions are only for machines whose law of motion changes by more than one rigid contact. They are
+compiled when a kernel first receives such a machine; until then their pointers are null.
 """
 
 import ctypes
@@ -35,8 +35,8 @@ _loading, _compiles = threading.RLock(), False
 def load(modes: bool = False) -> None:
     """Compile the functions called by symbol that are not compiled yet, or load them from the cache on disk.
 
-    They are compiled in the order of their definition. With ``modes`` functions for machines with several contacts,
-    soft contacts or friction are included.
+    They are compiled in the order of their definition. With ``modes`` functions for machines whose law of motion
+    changes by more than one rigid contact are included.
     """
     global _compiles
     if not _waiting[False] and not (modes and _waiting[True]):
@@ -61,7 +61,7 @@ def external(
 
     kinds   types of the arguments
     result  type of the result, a number
-    modes   True if the function is only for machines with several contacts, soft contacts or friction
+    modes   True if the function is only for machines whose law changes by more than one rigid contact
 
     Arrays and records are passed by reference, see ``by_reference.py``. The function uses fields of records directly,
     and arrays through ``by_value``.

@@ -5,7 +5,7 @@ result therefore depend neither on the order of compilation or loading nor on th
 
 Loops of unknown length are not unrolled, see ``unrolling.py``. Most of these loops run over a few coordinates or
 harmonics. Unrolled loops took 155 s of processor time to compile instead of 109 s. They also made the simulation of
-machines with friction or several contacts 11 to 17 % slower.
+machines with more than one rigid contact 11 to 17 % slower.
 """
 
 from collections.abc import Callable

@@ -133,7 +133,7 @@ def _(machines: HybridMachines, context: Any) -> types.Type:
 
     From these machines Python builds sets of linear equations.
 
-    Also load the functions that only kernels of machines with several contacts, soft contacts or friction call.
+    Also load the functions for machines whose law changes by more than one rigid contact.
     """
     load(modes=True)
     return types.none

@@ -30,7 +30,7 @@ PAST_SECTION = 1e-12
 def seen_later(oscillator, shift):
     """Return the oscillator as seen from the instants t = (k + shift) T: its forcing phase is moved by shift.
 
-    For machines with several contacts, soft contacts or friction ``shift`` is 0, see quiet_section.
+    For machines whose law changes by more than one rigid contact ``shift`` is 0, see quiet_section.
     """
     return with_phase(oscillator, oscillator.tau + 2.0 * math.pi * shift)
 
