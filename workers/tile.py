@@ -93,7 +93,7 @@ def solve_parts(
 
 
 def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Return all parameters of a system as arrays of one shape; missing ones have their defaults.
+    """Return every parameter, with its default if missing, as arrays of one shape.
 
     Raise KeyError for an unknown name, and ValueError for shapes that do not broadcast.
     """
