@@ -47,7 +47,7 @@ def row_in(record: Given, r: int) -> Given:
 def as_many(record: Given) -> Given:
     """Return a batch of records that has this record as its only row, in the same memory; kernels pass it by reference.
 
-    Kernels that take a batch and a row number, and functions called by symbol, accept the result.
+    Kernels that take a batch and a row number, and the functions of ``external.py``, accept the result.
     """
     return many_of(record)
 

@@ -125,9 +125,10 @@ def over(z, real):
 
 @inlined
 def couples(below, before, after):
-    """Return True if an entry ``below`` the diagonal exceeds the rounding of its neighbours on the diagonal.
+    """Return True if an entry ``below`` the diagonal of a Hessenberg matrix exceeds the rounding of its neighbours.
 
-    The neighbours are ``before`` and ``after``. If the entry does not exceed it, the eigenvalue problem splits there.
+    The neighbours are ``before`` and ``after`` on the diagonal. If the entry does not exceed it, the eigenvalue problem
+    splits there.
     """
     if max(abs(below.real), abs(below.imag)) < NOTHING:
         return False

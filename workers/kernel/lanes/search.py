@@ -134,7 +134,10 @@ def close_in_pass(c, n):
 
 @inline_always
 def scatter(a, lane_list, count, c):
-    """Set the steps of the lanes lane_list[:count] (one cell each) to the safe times gathered in c."""
+    """Set the steps, the times by which the lanes lane_list[:count] advance, to the safe times gathered in c.
+
+    A lane holds one cell.
+    """
     for e in range(count):
         a[LANE.step + lane_list[e]] = c[GAP.low + e]
 
