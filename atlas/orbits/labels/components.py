@@ -1,9 +1,9 @@
-"""Branches of attractors: connected components along links, but never with two attractors of one cell.
+"""Group attractors into branches: connected components along links, but never with two attractors of one cell.
 
 Around the end of a fold or a cusp, a chain of links through other cells may join two attractors of one cell, like two
-sheets of one surface. There the chain is cut. Links are taken in the order of how little the orbit changes. A link that
-would put two attractors of a cell on one branch is left out. A branch is therefore cut where its orbit changes most. A
-link and its mirror image are taken together or not at all, so that branches have mirror images.
+sheets of one surface. There the chain is cut. Links are taken in ascending order of the change of their orbit. A link
+that would put two attractors of a cell on one branch is left out. A branch is therefore cut where its orbit changes
+most. A link and its mirror image are taken together or not at all, so that branches have mirror images.
 """
 
 from itertools import combinations
