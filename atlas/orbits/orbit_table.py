@@ -1,4 +1,4 @@
-"""The results of a finished store as columns, one row for each cell or attractor; periodic orbits are found from them."""
+"""The results of a finished store as columns, one row for each cell or attractor; orbits are found from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

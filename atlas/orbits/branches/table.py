@@ -234,7 +234,7 @@ class BranchTable:
         return (*_PATTERN, CYCLE_PERIOD.name) if self.system.definition.unforced else _PATTERN
 
     def _pattern_values(self, point: "SolutionPoint", itinerary: "Itinerary") -> tuple[Any, ...]:
-        """Return the values of the columns ``_pattern`` at a point: period, impacts, symmetry, and a cycle's duration."""
+        """Return the values of the columns ``_pattern`` at a point: period, impacts, symmetry, a cycle's duration."""
         return (*pattern(itinerary), *[cycle_period(point, itinerary)][: self.system.definition.unforced])
 
     def _events(self) -> Iterator[tuple[Any, ...]]:

@@ -1,4 +1,4 @@
-"""Borders, each the set of all edges between the same two regions of cells, and the order in which edges are searched."""
+"""Borders, the sets of all edges between the same two regions of cells, and the order in which edges are searched."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""The periodic orbits of the cells of an atlas, continued to the parameters of other cells and from points of curves."""
+"""The periodic orbits of the cells of an atlas, continued to parameters of other cells and from points of curves."""
 
 from collections.abc import Sequence
 
