@@ -84,9 +84,13 @@ def handle_from(store: Given, storage_options: Mapping[str, Any] | None) -> Atla
 
 
 def origin_for(backend: StoreBackend, old: AtlasStore, request: RetryRequest | None = None) -> Origin:
-    """Return an old store as the origin of the cells that the store of ``backend`` reuses.
+    """Check that a new store can take over cells of an old store, and return the old store as its origin.
 
-    Raise InputError if it cannot reuse any.
+    backend  backend of the new store
+    old      handle of the old store
+    request  cells that are to be solved again, for a retry; None for an extension
+
+    Raise InputError if the new store cannot take over cells, for example because the solver versions differ.
     """
     if backend == old.backend:
         raise InputError(f"{backend}: found the store to take cells from, must be another path")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _NEED = {UNDETERMINED: BUDGET, CHAOTIC: SURVIVAL, APERIODIC: SURVIVAL}
 DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.code in _NEED}
-"""The budget that must be raised for cells of a regime to come out different; cells of other regimes never do."""
+"""For each regime that a retry may change, the budget in periods to raise; cells of other regimes never change."""
 
 
 @with_fields
@@ -81,7 +81,10 @@ def retry(
 def validate_retry(
     old: AtlasStore, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
 ) -> RetryRequest:
-    """Return a user's retry of a store as a request; raise InputError if it could not change a cell."""
+    """Check a user's arguments of ``retry`` and return them as a request.
+
+    Raise InputError if they are invalid, or if the retry could not change a cell of the old store.
+    """
     for name in regimes:
         check_name("regimes", name)
     names = [name.strip() for name in regimes if name.strip()]

@@ -49,7 +49,7 @@ class StoreStatus:
 
     @property
     def progress(self) -> Progress:
-        """The status as a snapshot of the run, with the speed and the remaining time that the run reports."""
+        """The status as the Progress of a run, with the speed and the remaining time that the run reports."""
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
@@ -75,7 +75,7 @@ class StoreStatus:
 
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """The facts about the store, by name."""
+        """The facts about the store as pairs of a name and a text."""
         return [
             ("axes", " x ".join(self.handle.spec.axis_descriptions)),
             ("tiles", f"{self.tiles_done} of {self.handle.tiling.count} done"),
@@ -86,7 +86,7 @@ class StoreStatus:
 
     @property
     def shares(self) -> list[tuple[str, str, str]]:
-        """The regimes: name, number of cells, and fraction of the finished cells."""
+        """One row per regime: name, number of cells, and fraction of the finished cells."""
         total = max(1, self.cells_done)
         return [(name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()]
 
@@ -177,9 +177,9 @@ class StoreCounts:
 
 
 class StatusReader:
-    """Reads the status of a store, from the report of the run that writes it, else from the tile records.
+    """Reads the status of a store, from the report of the run that writes it, else from the records of the tiles.
 
-    A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of these tiles.
+    A finished tile without a record is counted by reading its chunks; ``tiles_read`` is the number of these tiles.
     """
 
     def __init__(self, handle: AtlasStore, timing: Timing = TIMING) -> None:
@@ -191,9 +191,9 @@ class StatusReader:
     def read(self, settled: bool = False) -> StoreStatus:
         """Return the present status.
 
-        With ``settled`` wait until the lease of another host is known to move or to stand still. If a run held the
-        lease before the count and has ended since, the tiles are counted again. Its last tiles may have come after the
-        count.
+        With ``settled`` wait until the lease of a run on another host is known to be renewed, or known not to be. If a
+        run held the lease before the count and has ended since, the tiles are counted again. Its last tiles may have
+        come after the count.
         """
         look = self.observer.observe_until_settled if settled else self.observer.observe
         seen = look()
@@ -237,7 +237,9 @@ def read_status(handle: AtlasStore, timing: Timing = TIMING) -> StoreStatus:
 
 
 def watch(census: StatusReader, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[StoreStatus]:
-    """Yield statuses, one every ``seconds``, until the atlas is complete or no run has held its lease for a while."""
+    """Yield the status of a store every ``seconds``, until the atlas is complete or no run has held its lease for a
+    while.
+    """
     idle, beat = 0.0, -1
     while True:
         status = census.read()

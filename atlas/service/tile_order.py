@@ -1,8 +1,8 @@
-"""The order of tiles: a coarse lattice first, then the costliest tiles, as predicted from the lattice.
+"""The order in which tiles are solved: first a coarse lattice, then the others by predicted cost, the costliest first.
 
-Costs of tiles differ a hundredfold. A large cluster waits for a costly tile that is begun last, as happens row by row
-if the chaos lies in the last rows. Neighbouring tiles cost about the same, so the reports of the lattice predict the
-other costs for free. A probe of some cells of each tile predicts no better and costs time.
+Costs of tiles differ a hundredfold. If tiles were solved row by row and chaos lay in the last rows, a large cluster
+would end up waiting for a costly tile begun last. Neighbouring tiles cost about the same, so the reports of the lattice
+predict the other costs for free. A probe of some cells of each tile predicts no better and costs time.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 STRIDE = 4
-"""Distance, in tiles along each dimension, of the first lattice; the second lattice has half of it."""
+"""Distance, in tiles along each dimension, between tiles of the first lattice; half of it for the second lattice."""
 NEIGHBOURS = 4
 """Number of tiles of known cost from which the cost of another tile is predicted."""
 

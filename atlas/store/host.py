@@ -22,7 +22,10 @@ BIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_COR
 
 @dataclass(frozen=True)
 class HostInfo:
-    """A kind of host: its facts, and a name derived from the facts. Hosts of one name give a cell the same bits."""
+    """A kind of host: facts about its processor and packages, and a name derived from the facts.
+
+    Hosts of one name give a cell the same bits.
+    """
 
     name: str
     facts: Mapping[str, str] = field(compare=False)
@@ -33,7 +36,7 @@ class HostInfo:
 
 
 def host_from_facts(facts: Mapping[str, str]) -> HostInfo:
-    """Return the host with these facts."""
+    """Return the host with these facts, under the name derived from them."""
     return HostInfo(hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16], facts)
 
 
@@ -42,7 +45,9 @@ UNKNOWN = host_from_facts({"processor": "unknown: its record was damaged"})
 
 @lru_cache(maxsize=1)
 def current_host() -> HostInfo:
-    """Return the host of this process: processor, instructions for which kernels are compiled, versions."""
+    """Return the description of this host: processor, instructions for which kernels are compiled, versions of
+    packages.
+    """
     from llvmlite import binding
 
     facts = {
