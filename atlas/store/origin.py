@@ -46,13 +46,10 @@ def budget_variables(spec: Spec) -> tuple[BudgetVariable, ...]:
     """
     return tuple(replace(allowance, fill=allowance.from_spec(spec)) for allowance in ALLOWANCES)
 
-    """A request to solve again all cells of the named ``regimes``, with those of the other settings that are not
-    None.
-    """
 
-
+@dataclass(frozen=True)
 class RetryRequest:
-    """A request to solve again all cells of the named ``regimes``, with those of the other settings that are not None."""
+    """A request to solve all cells of the named ``regimes`` again, with those other settings that are not None."""
 
     regimes: tuple[str, ...]
     max_periods: int | None = None
