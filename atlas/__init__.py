@@ -108,7 +108,7 @@ _WITH_NUMBA = {
     "label_attractors": "atlas.service.labels",
     "measure_attractors": "atlas.service.measures",
 }
-"""Modules of the public names that load Numba; all other names are in ``atlas.api``, which loads without Numba."""
+"""Modules of the public names whose import loads Numba. All other public names are in ``atlas.api``, which does not."""
 
 
 register_accessor()

@@ -23,7 +23,10 @@ def is_integer(value: object, kind: type = int) -> bool:
 
 
 def validate_interval(name: str, value: object) -> tuple[float, float]:
-    """Return (low, high) as floats, which may be infinite and in any order. Raise InputError for any other value."""
+    """Return an argument that must be a pair (low, high) as two floats, which may be infinite and in any order.
+
+    Raise InputError for any other value.
+    """
     ends = _items(value)
     if len(ends) == 2 and all(isinstance(end, Real) and not isinstance(end, bool) for end in ends):
         with suppress(OverflowError):
@@ -34,7 +37,10 @@ def validate_interval(name: str, value: object) -> tuple[float, float]:
 
 
 def validate_window(value: object) -> Window:
-    """Return a window with validated limits; empty if ``value`` is None. The names of the axes are not checked."""
+    """Return the limits of axes, checked, from an argument by axis name; empty if ``value`` is None.
+
+    The names of the axes are not checked.
+    """
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -54,7 +60,7 @@ def validate_pixels(value: object) -> tuple[int, int] | None:
 
 
 def validate_path(value: object, name: str = "path") -> Path:
-    """Return a path on this host; a ``~`` at the beginning is replaced by the user's home."""
+    """Return an argument as a path on this host; a ``~`` at the beginning is replaced by the user's home."""
     if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str):
         return Path(os.path.expanduser(value))
     raise InputError(f"{name}: found {brief_repr(value)}, must be a path")
@@ -71,7 +77,10 @@ def validate_flag(name: str, value: object) -> bool:
 
 
 def validate_type(name: str, value: T, kind: Any, valid_form: str) -> T:
-    """Return ``value`` if its type is ``kind`` or in a union; else raise InputError with the text ``valid_form``."""
+    """Return ``value`` if it is an instance of ``kind``, a type or a union of types.
+
+    Else raise InputError with the text ``valid_form``.
+    """
     if not isinstance(value, kind):
         raise InputError(f"{name}: found {brief_repr(value)}, must be {valid_form}")
     return value

@@ -1,4 +1,6 @@
-"""Numbers as text, and symbols of mathtext in Unicode, for terminals and pages that cannot show mathematics."""
+"""Numbers, counts and times as text, and mathematical symbols in Unicode, for terminals and pages that cannot show
+mathtext.
+"""
 
 import re
 import unicodedata
@@ -31,12 +33,17 @@ def duration(seconds: float) -> str:
 
 
 def text_repr(value: object) -> str:
-    """Return the text of a value, for use as ``__repr__``: a notebook shows the last value of a cell by its repr."""
+    """Return ``str(value)``, for use as the ``__repr__`` of a class: a notebook shows the last value of a cell by its
+    repr.
+    """
     return str(value)
 
 
 def short_repr(value: Any) -> str:
-    """Return a dataclass as a call with the fields that differ from their defaults, without ``repr=False`` fields."""
+    """Return a dataclass as the text of a call with the fields that differ from their defaults.
+
+    Fields with ``repr=False`` are left out.
+    """
     visible_fields = [entry for entry in fields(value) if entry.repr]
     changed = [
         f"{entry.name}={field_value!r}"

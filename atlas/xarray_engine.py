@@ -1,7 +1,7 @@
-"""What xarray knows of this package: the engine ``atlas`` and the accessor ``ds.atlas``.
+"""The connection of xarray to this package: the engine ``atlas`` and the accessor ``ds.atlas``.
 
 The module is an entry point of ``xarray.backends``, and is loaded after xarray once ``atlas`` is imported, see
-``accessing.py``. It loads nothing but xarray; what it describes is loaded at its first use.
+``accessing.py``. It loads nothing but xarray; functions of this package are loaded at their first use.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,7 +27,10 @@ class AtlasBackendEntrypoint(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         storage_options: Mapping[str, Any] | None = None,
     ) -> xarray.Dataset:
-        """Return the atlas of a store, without some variables; arguments and errors are those of ``atlas.open``."""
+        """Return the atlas of a store as a dataset, without the variables in ``drop_variables``.
+
+        Other arguments and errors are those of ``atlas.open``.
+        """
         from atlas.query.open import open_atlas
 
         ds = open_atlas(filename_or_obj, storage_options=storage_options)
@@ -36,7 +39,7 @@ class AtlasBackendEntrypoint(BackendEntrypoint):
 
 
 def _accessor(ds: Any) -> "AtlasAccessor":
-    """Return the accessor of a dataset."""
+    """Return the object that ``ds.atlas`` gives for a dataset."""
     from atlas.accessor import AtlasAccessor
 
     return AtlasAccessor(ds)

@@ -78,7 +78,9 @@ def schema() -> None:
 
 
 def _print_system(system: System) -> None:
-    """Print title, equation, picture, parameters, results of its own, source and usual axes of a system."""
+    """Print a description of a system: title, equation, picture, parameters, results of its own, source and usual
+    axes.
+    """
     click.echo(f"{system.name}: {system.title}")
     for part in (equation_of(system), system.picture):
         if part.strip():

@@ -26,7 +26,7 @@ Columns = Values
 
 
 def row_count(points: Columns) -> int:
-    """Return the number of rows of a table."""
+    """Return the number of rows of a table of points."""
     return len(next(iter(points.values())))
 
 
@@ -47,17 +47,17 @@ def parse_points(points: object, system: System, folder: Path | None = None) -> 
 
 
 def axis_of(points: Columns) -> Axis:
-    """Return the rows of a table as an axis of row numbers."""
+    """Return an axis for a table of points, whose values are the row numbers."""
     return Axis(POINT, tuple(map(float, range(row_count(points)))))
 
 
 def describe_points(points: Columns) -> str:
-    """Return a table as a short text."""
+    """Return a short text about a table of points: its size and its columns."""
     return f"{row_count(points)} rows of {', '.join(points)}"
 
 
 def describe_difference(stored: Columns, points: Columns) -> list[str]:
-    """Return the difference of two tables as a short text; empty if they are equal."""
+    """Return a list with a short text about the difference of two tables of points; empty if they are equal."""
     if stored == points:
         return []
     if stored.keys() != points.keys():
@@ -71,7 +71,7 @@ def describe_difference(stored: Columns, points: Columns) -> list[str]:
 
 
 def _read_file(path: Path, system: System) -> Columns:
-    """Return the columns of a CSV file."""
+    """Read a CSV file of parameter sets and return its columns. Raise InputError as ``parse_points`` does."""
     if path.exists() and not path.is_dir() and not path.is_file():  # a device or a pipe may never end
         raise InputError(f"{path}: cannot be read: not a regular file")
     try:
@@ -140,7 +140,7 @@ def _checked_columns(where: str, table: Mapping[str, Any], system: System) -> Co
 
 
 def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float, ...]:
-    """Return the values if all are floats that the parameter admits; else ()."""
+    """Return the values as a tuple if all are floats in the parameter's valid range; else ()."""
     floats = all_floats(values)
     return floats if np.all(parameter.admits(np.array(floats))) else ()
 
