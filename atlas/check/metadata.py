@@ -1,4 +1,4 @@
-"""Compare a store's metadata and coordinates, byte by byte, with those that follow from its spec."""
+"""Compare a store's metadata and coordinates, byte by byte, with the bytes that follow from its spec."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -242,7 +242,7 @@ def print_status(text: str) -> None:
 
 
 def timing_of(ctx: click.Context) -> Timing:
-    """Return the waiting times of a command: those that a caller in Python passes as click's ``obj``, or the
+    """Return the waiting times of a command: the times that a caller in Python passes as click's ``obj``, or the
     defaults.
     """
     return ctx.find_object(Timing) or TIMING
@@ -357,7 +357,7 @@ def read_factors(factors: tuple[str, ...]) -> int | dict[str, int]:
 
 
 def read_whole(where: str, value: str) -> int:
-    """Return the whole number in a text. Raise InputError, beginning with ``where``, if it is none."""
+    """Return the whole number in a text. Raise InputError, beginning with ``where``, for any other text."""
     try:
         return int(value)
     except ValueError:

@@ -268,7 +268,7 @@ class Dispatcher(Generic[J, R]):
     def _fit_workers(self) -> list[str]:
         """Return the workers that get jobs: all that are not excluded.
 
-        If all are excluded, return those that neither refused nor failed to reach the store.
+        If all are excluded, return the workers that neither refused nor failed to reach the store.
         """
         excluded, refusing = self._excluded, self._refused | self._unreachable
         fit = [worker for worker in self._threads if worker not in excluded]
@@ -322,7 +322,7 @@ class Dispatcher(Generic[J, R]):
     def _handle(self, future: "Future[AttemptOutcome[R]]", outcome: AttemptOutcome[R]) -> R | TileFailure | None:
         """Process the outcome of an attempt, and return the report or the failure of its job.
 
-        Return None if the job is to be tried again or another attempt at it goes on, has succeeded, or was given up.
+        Return None if the job is to be tried again, if another attempt at it is in flight, or if it has ended before.
         """
         attempt = self._attempts.pop(future, None)
         if attempt is None:

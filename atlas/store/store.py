@@ -223,9 +223,12 @@ def _open_handle(backend: StoreBackend) -> AtlasStore:
 
 
 def _attributes(backend: StoreBackend, content: bytes | None) -> dict[str, Any]:
-    """Return the attributes of a store whose root has no valid checksum.
+    """Return the attributes in the metadata of a root whose checksum is wrong; empty if they cannot be read.
 
-    Raise InputError if the root is not that of an atlas.
+    backend  backend of the store
+    content  bytes of the metadata, None if they are missing
+
+    Raise InputError if there is no store, or if the attributes are those of an atlas and therefore damaged.
     """
     path = backend.local or getattr(backend, "file", None)
     if content is None and not (path is not None and path.exists()):

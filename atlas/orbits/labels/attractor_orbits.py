@@ -79,7 +79,7 @@ class AttractorOrbitTable(OrbitTable):
 
 
 def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
-    """Extend the A orbits by their U unseen mirror images, those that no initial state has reached.
+    """Extend the A orbits by their U unseen mirror images, which no initial state has reached.
 
     Return the cell (A + U,) of each orbit and unseen mirror image, and the row (A + U,) of its mirror image. Orbits
     without an unseen mirror image have in the second array their own row if they are symmetric, and -1 if the machine
