@@ -130,5 +130,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, without modules that happen to be loaded."""
+    """Return the public names for ``dir(atlas)``, without modules that happen to be loaded."""
     return __all__

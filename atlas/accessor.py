@@ -110,14 +110,14 @@ class AtlasAccessor:
         return query.nearest_cells(self._whole, given_values(given, points))
 
     def is_(self, *regimes: str) -> xr.DataArray:
-        """Return the mask of the cells of these regimes: ``ds.largest.where(ds.atlas.is_("chaotic"))``.
+        """Return the mask of the cells that have one of these regimes: ``ds.largest.where(ds.atlas.is_("chaotic"))``.
 
         ``ds.regime`` itself holds codes. See ``queries.is_regime``.
         """
         return query.is_regime(self._whole, regimes)
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
-        """Return the atlas with the results of all other regimes masked: ``where_regime("chaotic")``.
+        """Return the atlas with all cells masked that have none of these regimes: ``where_regime("chaotic")``.
 
         See ``queries.where_regime``.
         """
@@ -166,7 +166,8 @@ class AtlasAccessor:
         return basin_measures(self._ds, window)
 
     def boundary(self, regime: str, other: str | None = None, window: Window | None = None) -> "pd.DataFrame":
-        """Return the lines between a regime and another one, or any other: ``boundary("chaotic", "periodic")``.
+        """Return the lines between the cells of a regime and those of another, or of any other: ``boundary("chaotic",
+        "periodic")``.
 
         Each row is a point of a line, with the regimes on both sides. See ``queries.boundary``.
         """
@@ -215,9 +216,10 @@ class AtlasAccessor:
         observe: str | None = None,
         **point: float,
     ) -> PlottableBranches:
-        """Return the branch of the orbit of the cell nearest to a point.
+        """Follow the periodic orbit of the cell nearest to a point along one parameter, stable and unstable.
 
-        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See ``atlas.branch``.
+        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See ``atlas.branch``,
+        also for the result.
         """
         seed = seed_of_cell(self._ds, given_values(given, point))
         observable = observed_of(seed, observe)

@@ -49,7 +49,7 @@ def validate_window(value: object) -> Window:
 
 
 def validate_pixels(value: object) -> tuple[int, int] | None:
-    """Return the size of a plot in pixels, (x, y); None if ``value`` is None."""
+    """Return an argument with the size of a plot in pixels as integers (x, y); None if ``value`` is None."""
     sizes = _items(value)
     if value is None:
         return None
@@ -67,12 +67,12 @@ def validate_path(value: object, name: str = "path") -> Path:
 
 
 def check_name(name: str, value: object) -> None:
-    """Raise InputError unless ``value`` is a string."""
+    """Raise InputError, naming the argument ``name``, unless ``value`` is a string."""
     validate_type(name, value, str, "a name")
 
 
 def validate_flag(name: str, value: object) -> bool:
-    """Return ``value`` as a bool. Raise InputError for anything but True and False."""
+    """Return the argument ``name`` as a bool. Raise InputError for any value but True and False."""
     return bool(validate_type(name, value, bool | np.bool_, "True or False"))
 
 

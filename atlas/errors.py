@@ -14,7 +14,9 @@ REBUILD_COMMANDS = {
     "labels": "atlas attractors label",
     "stability": "atlas attractors measure",
 }
-"""Commands that rebuild a damaged group of a store, by group; ``atlas run`` rebuilds all other groups."""
+"""Commands that rebuild a damaged group of a store, by the name of the group; ``atlas run`` rebuilds all other
+groups.
+"""
 
 REPACK_HINT = "pack the atlas again"
 """Advice in messages about a damaged zip file."""
@@ -94,7 +96,7 @@ class ChunkError(RunError):
 
 
 def message_of(error: Exception) -> str:
-    """Return the message of a library's error, as one line."""
+    """Return the message of an error of another library, as one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 

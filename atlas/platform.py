@@ -137,9 +137,9 @@ def machine_name() -> str:
 def process_start(pid: int) -> str:
     """Return the start time of a process as one word that never changes.
 
-    The word is "dead" for a process that has ended and waits to be collected. Raise OSError if there is no such
-    process. On Linux the time is in clock ticks since boot: psutil converts the ticks to a time of day, which moves
-    with the clock.
+    The word is "dead" for a process that has ended but whose parent has not yet taken note of its end. Raise OSError if
+    there is no such process. On Linux the time is in clock ticks since boot: psutil converts the ticks to a time of
+    day, which moves with the clock.
     """
     if sys.platform == "linux":
         state, *rest = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()

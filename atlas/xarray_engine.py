@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 class AtlasBackendEntrypoint(BackendEntrypoint):
-    """The engine of ``xarray.open_dataset(store, engine="atlas")``, which opens a store as ``atlas.open`` does."""
+    """The engine of ``xarray.open_dataset(store, engine="atlas")``, which opens a store in the way of
+    ``atlas.open``.
+    """
 
     description = "Open atlases of impacting machines, with every chunk of a finished tile checked"
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "storage_options")

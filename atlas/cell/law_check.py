@@ -25,7 +25,7 @@ FINER = 4.0
 """Factor by which the bound on the segments' error is reduced; the number of segments grows as its square root."""
 
 MAX_ROWS = 20
-"""Maximum number of cells that are listed as text."""
+"""Maximum number of cells of changed class that the text of a comparison lists."""
 
 CLASS = ("regime", "period", "impacts_upper", "impacts_lower")
 """Names of the results that define the class of a cell. Cells of different classes move differently."""

@@ -60,7 +60,10 @@ class CellMotion:
         return np.concatenate(states)
 
     def states_at_impacts(self, impacts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the states (K, 2n) just before and just after impacts (K, 3), and the mask (K,) of those with a jump.
+        """Return the states (K, 2n) just before and just after K impacts, and the mask (K,) of impacts at which a
+        velocity jumps.
+
+        impacts (K, 3)  time, side and speed of each impact
 
         A velocity jumps at an impact on a rigid stop, and not where a chatter ends.
         """

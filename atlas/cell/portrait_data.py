@@ -18,7 +18,7 @@ _MIN_PERIODS = 6
 _CYCLES = 2
 """Number of periods of a limit cycle, of a machine without a force, that the time histories show."""
 _MIN_CHATTER_FLIGHTS = 4
-"""Minimum number of flights, each shorter than the one before, that make a chatter."""
+"""Minimum number of flights between impacts, each shorter than the one before, that count as a chatter."""
 
 
 def displacements(orbit: CellTrajectory) -> list[Array]:

@@ -112,7 +112,7 @@ def time_history(
 
 
 def _force_columns(system: System) -> list[str]:
-    """Return the names of the columns of forces: contacts first, then friction."""
+    """Return the names of the table's columns with forces: contacts first, then friction."""
     definition = system.definition
     return [f"{element.name}_force" for elements in (definition.contacts, definition.friction) for element in elements]
 

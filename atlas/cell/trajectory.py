@@ -45,11 +45,11 @@ orbit.
 MAX_PATH_PERIODS = 200
 """Maximum number of forcing periods of a torus's path, which should be long enough to show the modulation."""
 SECTION_STATES = 4000
-"""Number of section states of a motion that does not close."""
+"""Number of section states, one per forcing period, that are stored of a motion that does not close."""
 CONVERGENCE = (8000, 1000, 100, 10)
-"""Numbers of forcing periods over which exponents are averaged.
+"""Numbers of forcing periods over which exponents may be averaged to show how they converge.
 
-The first is that of Li & Tan (2011); fewer are used if they cost much.
+The first is that of Li & Tan (2011); a smaller one is used if the averages cost too much.
 """
 
 
@@ -101,11 +101,11 @@ class CellTrajectory:
 
     @cached_property
     def gap_row(self) -> Array:
-        """The row g (n,) of the gap coordinate y = g . x."""
+        """The coefficients g (n,) of the gap coordinate y = g . x, on which the stops act, in the displacements x."""
         return np.array(self.system.build(self.parameters).gap_row)
 
     def gap(self, states: Array) -> Array:
-        """Return the gap coordinate (N,) of states (N, 2n)."""
+        """Return the gap coordinate (N,), on which the stops act, of states (N, 2n)."""
         return np.asarray(states[:, : self.gap_row.size] @ self.gap_row)
 
     @property

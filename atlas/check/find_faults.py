@@ -73,7 +73,7 @@ def find_faults(backend: StoreBackend, sample: int, seed: int, notify: Callable[
 
 
 def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
-    """Return the report on a store before anything is read."""
+    """Return the report of a verification before anything is checked: counts of tiles, and no faults."""
     n_finished = int(done_mask(handle).sum())
     return VerifyReport(
         str(handle.backend), handle.tiling.count, n_finished, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
@@ -223,9 +223,9 @@ def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
 
 
 def draw_cells(tiling: Tiling, finished_tiles: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
-    """Draw ``count`` cells of the finished tiles, all with the same probability.
+    """Draw ``count`` cells at random from the finished tiles, all with the same probability.
 
-    Return flat indices of cells within their tiles, by tile.
+    Return, by tile, the flat indices of the drawn cells within the tile.
     """
     rng = random.Random(seed)
     ends = list(accumulate(tiling.at(index).size for index in finished_tiles))

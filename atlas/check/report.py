@@ -79,7 +79,7 @@ class VerifyReport:
 
     @property
     def is_sound(self) -> bool:
-        """True if the store is complete and has neither faults nor doubts."""
+        """True if the store is complete, and no fault and no doubtful cell was found."""
         return self.is_complete and not self.faults and not self.doubts
 
     @property

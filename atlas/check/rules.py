@@ -108,7 +108,7 @@ def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Yield (rule as text, mask of the cells that break the rule) for every rule that the results must obey."""
+    """Yield every rule that the results must obey, as pairs of its text and the mask of the cells that break it."""
     regime = arrays[REGIME.name]
     yield f"regime is not one of {NO_IMPACT} to {LOCKING}", ~((regime >= NO_IMPACT) & (regime <= LOCKING))
     if spec.settings.exponents != "none":
@@ -168,7 +168,9 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Yield (rule as text, mask of cells that break it) for impact speeds: slowest <= mean <= fastest."""
+    """Yield the rules about impact speeds, slowest <= mean <= fastest, as pairs of text and mask of the cells that
+    break it.
+    """
     names = [name for name in ("min_impact_speed", "mean_impact_speed", "max_impact_speed") if name in arrays]
     for slower, faster in pairwise(names):
         yield f"{slower} is above {faster}", arrays[slower] > arrays[faster] * (1 + 1e-9)

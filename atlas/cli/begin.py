@@ -15,7 +15,7 @@ from atlas.spec.system import parse_system, unused_lines
 from workers.model.system import System, find_system, system_names
 
 EXAMPLE = "omega-b"
-"""The example that the demo computes."""
+"""Name of the packaged example that the demo computes."""
 
 
 @click.command(epilog=examples("atlas demo", "atlas demo my-folder"))

@@ -276,10 +276,10 @@ def check_workers(scheduler: str | None, workers: int | None) -> None:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """End the block on Ctrl-C, or on the SIGTERM of a batch system.
+    """End the block in order on Ctrl-C, or on the SIGTERM of a batch system.
 
-    The first signal ends it in order, the second at once. Ending at once loses only the unfinished tiles: the next run
-    recognises that this process no longer runs.
+    The first signal raises KeyboardInterrupt in the block, the second ends the process at once. Ending at once loses
+    only the unfinished tiles: the next run recognises that this process no longer runs.
     """
 
     def second(number: int, frame: FrameType | None) -> None:

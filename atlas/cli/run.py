@@ -290,7 +290,7 @@ def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> 
 
 
 def _report(ctx: click.Context, summary: RunSummary) -> None:
-    """Print the summary of a run, and exit with 1 if a tile failed."""
+    """Print the summary of a run, and end the command with exit code 1 if a tile failed."""
     click.echo(str(summary))
     for worker, reason in summary.refused.items():
         print_status(f"worker {worker} was excluded: {reason}")

@@ -70,7 +70,7 @@ class OrbitTable:
 
     @property
     def proven(self) -> Mask:
-        """The mask (N,) of rows with a periodic orbit."""
+        """The mask (N,) of rows with a known periodic orbit."""
         raise NotImplementedError
 
     def values(self, rows: Rows) -> Array:
@@ -85,7 +85,7 @@ class OrbitTable:
 
 
 def must_be_finished(handle: AtlasStore) -> None:
-    """Raise InputError, with the remedy, if a tile of a store is unfinished."""
+    """Raise InputError, with the command that completes the store, if a tile of the store is unfinished."""
     missing = handle.tiling.count - int(done_mask(handle).sum())
     if missing:
         raise InputError(f"{handle.backend}: {plural(missing, 'tile')} unfinished; complete the store with atlas run")

@@ -62,7 +62,7 @@ It is the order of the table of regimes, but ``aperiodic`` follows ``chaotic``, 
 """
 
 WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own_attractor", "mirror")
-"""Variables whose values are codes of names, which have no mean."""
+"""Names of the results that are codes or indices, so that a mean over cells has no meaning."""
 
 Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]

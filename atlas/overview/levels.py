@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from atlas.spec.spec import Slices
 
 SIDE = 256
-"""Approximate side of a chunk, in cells: a picture of a whole plane reads a few tens of such chunks."""
+"""Approximate side of a chunk of an overview, in cells; a picture of a whole plane reads a few tens of such chunks."""
 MIN_SIDE = 128
 """Maximum side, in cells, of a level that is not coarsened again. Smaller pictures would be of no use."""
 
@@ -57,7 +57,7 @@ class OverviewLevels:
 
     @property
     def count(self) -> int:
-        """Number of levels above the cells themselves; 0 for a small atlas."""
+        """Number of overview levels above the cells themselves; 0 for a small atlas."""
         count = 0
         while max(self.shape_of(count)[self.n_uncoarsened :], default=0) > self.min_side:
             count += 1

@@ -147,7 +147,7 @@ class Pyramid:
         return set(map(tuple, np.argwhere(chunk_mask(keys, folder, self.levels.grid(level))).tolist()))
 
     def create(self) -> None:
-        """Create the groups of all levels, without values, unless they exist."""
+        """Create the groups of all overview levels, without values, unless they exist."""
         if self.exists:
             return
         backend, top = self.handle.backend, f"{GROUP}/{ROOT}"

@@ -1,4 +1,4 @@
-"""One try of a job on a Dask worker, and its outcome as a value that names the worker."""
+"""Run one attempt at a job on a Dask worker, and describe its outcome, with the name of the worker, as a value."""
 
 import time
 import traceback
@@ -12,7 +12,7 @@ from atlas.task.store_ref import StoreFullError, WorkerRefusedError
 
 
 class IndexedJob(Protocol):
-    """A job with an index, which identifies it."""
+    """A job that is sent to a worker, with an index that identifies it."""
 
     @property
     def index(self) -> tuple[int, ...]:
@@ -86,12 +86,12 @@ class OpenJob(Generic[J]):
 
     @property
     def n_deaths(self) -> int:
-        """Number of its attempts that ended with the death of their workers."""
+        """Number of attempts at the job that ended with the death of their workers."""
         return sum(failure.is_death for failure in self.failures)
 
     @property
     def n_errors(self) -> int:
-        """Number of its attempts that ended with an exception."""
+        """Number of attempts at the job that ended with an exception."""
         return len(self.failures) - self.n_deaths
 
 

@@ -89,7 +89,10 @@ def connect_to_scheduler(scheduler: str, tls: Tls | None = None, timing: Timing 
 
 
 async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
-    """Connect to the scheduler and close the connection; raise an exception if nothing answers."""
+    """Check that a scheduler answers: connect to it within ``seconds``, and close the connection.
+
+    Raise an exception if nothing answers.
+    """
     from distributed import connect
 
     comm = await connect(scheduler, timeout=seconds, **security.get_connection_args("client"))
@@ -161,7 +164,9 @@ def has_dashboard() -> bool:
 
 
 def dashboard_link(client: "Client") -> str:
-    """Return the address of a cluster's dashboard, by ``distributed.dashboard.link``; empty if it is unknown."""
+    """Return the address of a cluster's dashboard, built by Dask's setting ``distributed.dashboard.link``; empty if
+    unknown.
+    """
     try:
         return client.dashboard_link or ""
     except (KeyError, ValueError):  # the user's template names a variable that this environment does not have

@@ -45,7 +45,10 @@ IN_FLIGHT, MAX_IN_FLIGHT = 2, 64
 idles.
 """
 QUEUED_SECONDS = 10.0
-"""Seconds of work in flight for each thread. Dask's adaptive scaling adds workers while more than 5 s are queued."""
+"""Seconds of work that are kept in flight for each thread.
+
+Dask's adaptive scaling adds workers while more than 5 s are queued.
+"""
 SLOW = 20.0
 """Multiple of the median duration after which a job counts as slow and is given to a second worker as well.
 
@@ -64,7 +67,7 @@ MAX_ALLOWED = 64
 MAX_NAMED = 3
 """Maximum number of workers that a message names."""
 MIN_WORKER_MEMORY = 500_000_000
-"""Bytes of memory that a worker needs. The kernels take most of them; Dask pauses a worker with a lower limit."""
+"""Minimum memory of a worker, in bytes. The kernels take most of it; Dask pauses a worker with a lower limit."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,7 @@ class Dispatcher(Generic[J, R]):
                 self._exclude(self._refused, worker, f"memory limit {byte_size(limit)} is below the {needed}")
 
     def _refresh(self) -> None:
-        """Update the workers from the cluster, which may grow and shrink, and take jobs from workers that hang."""
+        """Update the list of workers from the cluster, and give the jobs of lost or hanging workers to others."""
         threads, now = worker_threads(self.client), time.monotonic()
         if threads.keys() - self._threads.keys():
             self.require_memory(self.memory)
@@ -183,7 +186,7 @@ class Dispatcher(Generic[J, R]):
         self._copy_slow(now)
 
     def _copy_slow(self, now: float) -> None:
-        """Give jobs that take many times the median to second workers; the first outcome counts."""
+        """Send jobs that take many times the median duration to second workers as well; the first outcome counts."""
         old = {
             f: a for f, a in self._attempts.items() if now - a.since > self._timing.hung and not a.open_job.is_copied
         }
@@ -209,7 +212,7 @@ class Dispatcher(Generic[J, R]):
 
     @property
     def _excluded(self) -> dict[str, str]:
-        """The reasons for exclusion, by address of the worker."""
+        """The reason for the exclusion of each excluded worker, by its address."""
         blamed = {worker: jobs for worker, jobs in self._blamed.items() if len(jobs) >= MAX_BLAMED}
         reasons = {
             worker: f"{len(jobs)} tiles failed on this worker and succeeded elsewhere, the first is {index}: {reason}"
@@ -226,7 +229,7 @@ class Dispatcher(Generic[J, R]):
         return WorkerStatus(sum(self._threads.values()), self._excluded, self._describe_trouble())
 
     def _describe_trouble(self) -> str:
-        """Return the reason why no job has ended for a while; empty if nothing is known to be wrong."""
+        """Return the reason why no job has ended for a while, as text; empty if nothing is known to be wrong."""
         silent = time.monotonic() - self._ended_at
         if silent < self._timing.stall_after or not self._flying:
             return ""

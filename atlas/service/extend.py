@@ -1,4 +1,4 @@
-"""Extending an atlas: a new store with more cells, which takes over the cells of an old store."""
+"""Extend an atlas: compute a larger or finer atlas into a new store, which takes over the cells of an old store."""
 
 import math
 from collections.abc import Mapping
@@ -79,7 +79,10 @@ def extend(
 
 
 def handle_from(store: Given, storage_options: Mapping[str, Any] | None) -> AtlasStore:
-    """Return the handle of a store whose cells are reused. At a URL the options of the new store apply to it, too."""
+    """Return the handle of the old store, whose cells are reused.
+
+    If it is at a URL, the access options ``storage_options`` of the new store apply to it, too.
+    """
     return open_store(store, storage_options if is_url(store) else None)
 
 

@@ -28,7 +28,7 @@ from atlas.store.object_backend import StoreBackend, with_patience
 from atlas.store.sidecar import LEASE_NAME, clear_sidecar, lease_confirmation, read_lease_token
 
 _RELEASES = 3
-"""Number of attempts to remove the lease at the end of a run; if they fail, it expires."""
+"""Number of attempts to remove the lease at the end of a run; if all fail, the lease expires."""
 STOP = "stop"
 """Name of the object in a store's sidecar by which a run is asked to stop; it holds the token of the run's lease."""
 
@@ -65,7 +65,7 @@ class LeaseRecord:
             raise ValueError(f"no process: {self.pid}, {self.process!r}")
 
     def pack(self) -> bytes:
-        """Return the record as the bytes of a lease."""
+        """Return the record as bytes, the content of a lease."""
         return json.dumps(asdict(self)).encode()
 
     @classmethod
@@ -79,7 +79,7 @@ class LeaseRecord:
             return None
 
     def number(self, name: str) -> float:
-        """Return a number of the holder's progress report; 0 if it is missing."""
+        """Return a number from the holder's report of its progress, by name; 0 if it is missing."""
         value = self.progress.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return 0

@@ -1,4 +1,4 @@
-"""A run's progress in a notebook: one bar under the cell, updated in place."""
+"""The display of a run's progress in a notebook: one bar under the cell, updated in place."""
 
 import sys
 import time

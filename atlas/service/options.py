@@ -100,7 +100,7 @@ class RunOptions:
         validate_type("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
     def report(self, progress: Progress) -> None:
-        """Call ``on_progress``, if given, with a snapshot."""
+        """Call ``on_progress``, if there is such a function, with a Progress."""
         if self.on_progress is not None:
             self.on_progress(progress)
 

@@ -1,4 +1,4 @@
-"""Packing a store into one zip file, which every reading command and plain xarray can open."""
+"""Pack a store into one zip file, which every reading command and plain xarray can open."""
 
 import glob
 import os

@@ -24,9 +24,9 @@ from atlas.store.tiling import Index, Tiling
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
-"""Number of cells along a side of a tile, by default and in a large atlas.
+"""Number of cells along a side of a tile: by default, and in a large atlas.
 
-Object stores work best with large objects.
+Tiles of a large atlas are larger, since object stores work best with large objects.
 """
 MANY_TILES, MOST_TILES = 1024, 50_000
 """Numbers of tiles above which tiles are made larger: than DEFAULT_TILE, and even than LARGE_TILE."""
@@ -42,9 +42,12 @@ FILE_BLOCK = 4096
 NAME_BYTES = 64
 """Bytes that the name of a file takes in a large folder."""
 COPIED_BYTES = 3 * FILE_BLOCK
-"""Maximum bytes of the copies of an array's metadata: in the root, in its backup, and in an overview's level."""
+"""Maximum size, in bytes, of the copies of one array's metadata that a store has.
+
+They are in the root's metadata, in their backup, and in those of an overview's level.
+"""
 OTHER_BYTES = 32 * FILE_BLOCK
-"""Bytes of the groups, of the root's own attributes and of the records of hosts."""
+"""Maximum size, in bytes, of everything else in a store: groups, the root's own attributes, and records of hosts."""
 MANY_OBJECTS = 10_000_000
 """Number of objects in a bucket beyond which some providers refuse further objects, or advise against them."""
 NO_BASINS = (
@@ -129,7 +132,7 @@ class Plan:
 
     @property
     def note(self) -> str:
-        """Hints at other specs that the user may have meant; empty for most specs."""
+        """Hints, as text, at other specs that the user may have meant; empty for most specs."""
         notes = [NO_BASINS] if self.spec.has_state_axes and self.spec.attractors is None else []
         if self.objects > MANY_OBJECTS:
             notes.append(
@@ -140,7 +143,7 @@ class Plan:
 
     @property
     def seconds(self) -> float | None:
-        """Expected seconds of the whole atlas on these workers, with a processor each; None if nothing was probed."""
+        """Expected seconds that the whole atlas takes, if each worker has a processor; None if nothing was probed."""
         return self._seconds(self.probe.seconds_per_cell) if self.probe else None
 
     @property
@@ -299,7 +302,7 @@ def _array_bytes(grid: Index, chunk: int, inner: int = 0) -> int:
 
 
 def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
-    """Return the bytes of a chunk of each variable."""
+    """Return the size, in bytes, of a tile's chunk of each variable, by name."""
     sizes = spec.extra_sizes
     return {
         variable.name: np.dtype(variable.dtype).itemsize

@@ -115,9 +115,11 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
 
 
 def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
-    """Return the indices of distinct cells that fill the plane ever more evenly, and the length of a segment in cells.
+    """Return the indices of distinct cells that are spread evenly over the plane, and the number of cells of a segment.
 
-    A segment is a part of a line of continued cells that begins at one of these cells; it has one cell otherwise.
+    The more of the cells are used, in their order, the more evenly they fill the plane. In a continued sweep each cell
+    begins a segment, a part of a line in which each cell starts from the cell before it. Otherwise a segment has one
+    cell.
     """
     from scipy.stats import qmc
 

@@ -1,4 +1,4 @@
-"""Progress of a run, as snapshots for displays and logs."""
+"""The progress of a run as a value, which displays and logs show."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Solving some cells of an atlas again, into a new store that takes over all other cells of the old store."""
+"""Retry: solve some cells of an atlas again, into a new store that takes over all other cells of the old store."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -119,6 +119,6 @@ def _check_amount(old: AtlasStore, allowance: BudgetVariable, amount: int | None
 
 
 def _least(old: AtlasStore, allowance: BudgetVariable) -> int:
-    """Return the largest budget, in periods, that cells of a store were given."""
+    """Return the largest budget, in periods, that any cell of a store was given; a retry must exceed it."""
     retried = old.origin.retry if old.origin is not None else None
     return max(allowance.from_spec(old.spec), retried.least_budget(allowance) if retried is not None else 0)

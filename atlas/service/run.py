@@ -1,4 +1,6 @@
-"""Running an atlas: lease and create or resume its store, solve the unfinished tiles, and add up their reports."""
+"""Run an atlas: lease and create or resume its store, solve the unfinished tiles on workers, and add up their
+reports.
+"""
 
 import math
 from dataclasses import replace

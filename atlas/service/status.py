@@ -1,4 +1,4 @@
-"""The status of a store: its progress, from its contents and from the lease of the run that writes it."""
+"""The status of a store: its progress, found from its contents and from the lease of the run that writes it."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -64,7 +64,7 @@ class StoreStatus:
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds until the run is finished, or None."""
+        """Seconds until the run is finished, at its present speed; None if no run is known to make progress."""
         rate = self.progress.rate
         return (self._reported("cells") - self._reported("cells_done")) / rate if rate else None
 
@@ -147,11 +147,11 @@ class StoreStatus:
 
 @dataclass(frozen=True)
 class StoreCounts:
-    """The contents of a store.
+    """The numbers of finished tiles and cells in a store.
 
     tiles    number of finished tiles
     regimes  numbers of cells by regime, without zeros
-    reasons  numbers of cells by reason, without zeros
+    reasons  numbers of cells without a certain result, by reason, without zeros
     """
 
     tiles: int
@@ -160,7 +160,7 @@ class StoreCounts:
 
     @classmethod
     def from_lease(cls, seen: LeaseObservation | None) -> "StoreCounts | None":
-        """Return the counts in the progress report of the run that holds a lease.
+        """Return the counts that the run which holds the lease has reported with it.
 
         Return None if no run is alive, or if its report is incomplete.
         """
@@ -230,8 +230,8 @@ def _token(seen: LeaseObservation | None) -> str:
 def read_status(handle: AtlasStore, timing: Timing = TIMING) -> StoreStatus:
     """Return the status of a store; see ``StatusReader``.
 
-    If the run is on another host, this takes up to ``timing.warn_after`` seconds: only heartbeats show that the run is
-    alive.
+    If the run is on another host, this takes up to ``timing.warn_after`` seconds: only a renewal of its lease shows
+    that the run is alive.
     """
     return StatusReader(handle, timing).read(settled=True)
 

@@ -44,7 +44,8 @@ class StoreCall:
     lease: Lease = field(init=False)
 
     def open(self) -> AtlasStore:
-        """Return the handle of the store. It waits ``options.patience`` seconds for a server that does not respond.
+        """Open the store and return its handle, waiting up to ``options.patience`` seconds for a server that does not
+        respond.
 
         Raise InputError if there is no atlas.
         """

@@ -144,7 +144,7 @@ class RunTotals:
         return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
 
     def report(self, threads: int) -> dict[str, Any]:
-        """Return the progress of the run as a dict of plain JSON, to be written into the lease of the store.
+        """Return the progress of the run as a dict for JSON, which is written into the lease of the store.
 
         ``atlas status`` reads it there.
         """

@@ -16,7 +16,10 @@ NEIGHBOURS = 4
 
 
 class TileOrder:
-    """An iterator over the indices of the unfinished tiles, each a tuple; costs recorded so far decide the order."""
+    """An iterator over the indices of the unfinished tiles, in the order in which they should be solved.
+
+    Costs of tiles that are recorded during the iteration change the order of the remaining tiles.
+    """
 
     def __init__(self, unfinished: np.ndarray) -> None:
         self._due = unfinished
@@ -24,7 +27,7 @@ class TileOrder:
         self._noted = 0
 
     def record_cost(self, index: tuple[int, ...], cost: float) -> None:
-        """Record the cost of a tile, in any unit."""
+        """Record the cost of a solved tile, in any unit, from which the costs of other tiles are predicted."""
         self._cost[index] = cost
         self._noted += 1
 

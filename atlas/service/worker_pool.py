@@ -47,7 +47,7 @@ class WorkerPool(Generic[J, R]):
 
     @cached_property
     def store_ref(self) -> StoreRef:
-        """The reference to the store that jobs receive."""
+        """The reference to the store that jobs carry to the workers."""
         backend, patience = picklable_backend(self.handle.backend), self.call.options.patience
         return StoreRef(backend, self.handle.run_id, SOLVER_VERSION, patience, self.call.lease.token)
 

@@ -65,7 +65,7 @@ class Axis:
 
 
 def number(where: str, value: object) -> float:
-    """Return the value as a float; raise InputError, naming ``where``, unless the value is a finite real number."""
+    """Return a value from a spec as a float; raise InputError, naming ``where``, unless it is a finite real number."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise InputError(f"{where}: found {brief_repr(value)}, must be a number")
     try:
@@ -178,7 +178,7 @@ def spaced_values(where: str, table: Mapping[str, Any], scale: str) -> tuple[flo
 
 
 def check_count(where: str, count: int) -> None:
-    """Raise InputError, naming ``where``, unless an axis may have this number of points."""
+    """Raise InputError, naming ``where``, if ``count`` exceeds the number of points that an axis may have."""
     if not 1 <= count <= MAX_POINTS:
         raise InputError(f"{where}: found {brief_repr(count)} points, must be 1 to {MAX_POINTS}")
 

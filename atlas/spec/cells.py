@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from atlas.spec.spec import Spec
 
 LONE_CELL = 0.05
-"""Half width of the cell of an axis with one point, relative to its value, or absolute if the value is 0."""
+"""Half width of the cell of an axis with one point, relative to its value; absolute if the value is 0."""
 
 
 def is_uniform(values: NDArray[np.float64]) -> bool:

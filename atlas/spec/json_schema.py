@@ -180,7 +180,7 @@ def _definition() -> Schema:
 
 
 def _harmonic(row: Schema) -> Schema:
-    """Return the schema of a harmonic of the force."""
+    """Return the schema of a harmonic of the force. ``row`` is the schema of a value per coordinate."""
     order: Schema = {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]}
     table = _table({key: order if key == "order" else row for key in HARMONIC_KEYS}, ["order"])
     return {**table, "anyOf": [{"required": ["force"]}, {"required": ["cosine"]}]}

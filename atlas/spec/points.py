@@ -1,4 +1,4 @@
-"""A table of points: parameter sets, one row per cell, in place of axes."""
+"""A table of points: parameter sets, one row per cell, which a spec may have in place of axes."""
 
 import csv
 import itertools
@@ -16,13 +16,13 @@ from workers.model.system import System
 POINT = "point"
 """Name of the dimension along the rows, which are numbered from 0."""
 FILE = "file"
-"""Key of a spec's [points] with the file name."""
+"""Key of the table [points] of a spec whose value is the name of a CSV file."""
 
 MAX_FILE = 10**9
-"""Maximum size, in bytes, of the file of a table: its numbers take about four times as much memory."""
+"""Maximum size, in bytes, of a CSV file of points: its numbers take about four times as much memory."""
 
 Columns = Values
-"""The columns of a table by name."""
+"""The columns of a table of points, each with the values of one parameter, by name."""
 
 
 def row_count(points: Columns) -> int:
@@ -31,7 +31,7 @@ def row_count(points: Columns) -> int:
 
 
 def parse_points(points: object, system: System, folder: Path | None = None) -> Columns:
-    """Return the columns of a table by name.
+    """Return the columns of a table of points by name.
 
     ``points`` is ``{"file": path}``, with a path relative to ``folder`` if given, or a mapping of names to lists of
     values of one length. Raise InputError with row and column for a value that is no number, or is outside its

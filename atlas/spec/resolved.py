@@ -49,7 +49,9 @@ def _unpacked(axis: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _evenly_spaced(start: float, stop: float, num: int) -> list[float]:
-    """Return evenly spaced values, by operations that are rounded in the same way on every host."""
+    """Return ``num`` evenly spaced values from start to stop, by operations that round in the same way on every
+    host.
+    """
     values = np.arange(num, dtype=np.float64) * ((stop - start) / (num - 1)) + start
     values[-1] = stop
     return list(values.tolist())
@@ -77,7 +79,7 @@ def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Setting
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a mapping as JSON.
+    """Return the SHA-256 of a mapping, written as JSON, as a hexadecimal text.
 
     Python writes floats as shortest exact decimals, so that equal text means equal bits.
     """

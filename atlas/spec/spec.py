@@ -192,7 +192,11 @@ class Spec:
 
     @property
     def continuation(self) -> tuple[int, bool] | None:
-        """Index in ``dims`` of the continued axis, and True if backward; None for independent cells."""
+        """The axis along which each cell starts from its neighbour's attractor: its index in ``dims``, and True if
+        backward.
+
+        None if all cells are independent.
+        """
         for dim, axis in enumerate(reversed(self.axes)):
             if axis.continuation:
                 return dim, axis.continuation == "backward"
@@ -226,7 +230,7 @@ class Spec:
 
     @property
     def values(self) -> Columns:
-        """Values of the axes, or of the columns of the points, by name."""
+        """Values of the axes by name, or of the columns of the table of points."""
         return self.points or {axis.name: axis.values for axis in self.axes}
 
     def check_stored_form(self) -> None:
@@ -259,7 +263,7 @@ class Spec:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The results of each cell, ``regime`` last."""
+        """The variables with the results of each cell, ``regime`` last."""
         return self.system_def.variables(self.settings, attractors=self.coexistence, basins=self.basins)
 
     @property

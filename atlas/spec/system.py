@@ -65,7 +65,7 @@ def stored_system(attributes: Mapping[Any, Any]) -> System | None:
 
 
 def stored_name(attributes: Mapping[Any, Any]) -> str:
-    """Return the name that a store has for its system, known or not; empty if it has none."""
+    """Return the name that a store's root attributes give its system, known or not; empty if they give none."""
     system = stored_spec(attributes).get("system", "")
     return str(system.get("name", "") if isinstance(system, Mapping) else system)
 

@@ -99,7 +99,8 @@ def access_by(options: Mapping[str, Any], url: str) -> StorageAccess:
 
 
 def signed_in(url: str, access: StorageAccess) -> tuple[str, StorageAccess]:
-    """Return a URL without user and password, and the access with both as an HTTP header.
+    """Move user and password from a URL into an HTTP header; return the URL without them, and the access with the
+    header.
 
     Browsers and curl send user and password to web servers in this way. Raise InputError if the URL of a bucket has a
     user or a password, since no client reads them there.
@@ -155,7 +156,7 @@ def local_folder(store: Any) -> Path | None:
 
 
 def _frozen(settings: Mapping[str, Any]) -> Pairs:
-    """Return settings, nested ones too, as pairs (name, value) sorted by name, which can be hashed and compared."""
+    """Convert settings, nested ones too, to pairs (name, value) sorted by name, which can be hashed and compared."""
     pairs = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in settings.items())
     return tuple(sorted(pairs, key=lambda pair: pair[0]))
 

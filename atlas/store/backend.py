@@ -15,7 +15,7 @@ from typing import Self
 from atlas.platform import flush, move_whole, temporary_beside
 
 _ABSENT = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
-"""Exceptions of operating systems for a missing object."""
+"""Exceptions by which the operating system says that an object does not exist."""
 Confirmation = Callable[[], None]
 """A function that raises an error unless the run of this process still leases the store."""
 
@@ -48,7 +48,7 @@ class StoreBackend:
 
     @property
     def local(self) -> Path | None:
-        """The local folder; None if the backend is not a folder of this host."""
+        """The folder of the store on this host; None for any other storage."""
         return None
 
     def get(self, key: str, part: slice | None = None) -> bytes | None:

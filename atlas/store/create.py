@@ -1,4 +1,4 @@
-"""Creation of a store, whole or not at all, and the check whether a run may create or resume a store."""
+"""Create a store, whole or not at all, and check whether a run may create or resume a store."""
 
 import errno
 import glob
@@ -135,7 +135,7 @@ def refuse_equal_names(path: Path, spec: Spec) -> None:
 
 
 def _names(spec: Spec) -> set[str]:
-    """Return the names of the arrays of cells and of their coordinates."""
+    """Return the names of all arrays of a store's cells and of their coordinates."""
     return {*coordinate_names(spec)} | {variable.name for variable in spec.variables}
 
 

@@ -1,4 +1,6 @@
-"""Records of the hosts that solved tiles of a store; a record is an empty group named by a digest of its facts."""
+"""Records of the hosts that solved tiles of a store; a record is an empty group named by a digest of facts about a
+host.
+"""
 
 import json
 from functools import lru_cache

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from atlas.errors import brief_repr, message_of
 
 ROOT = "zarr.json"
-"""Name of the object with the metadata of an array or a group. A store exists once its root has this object."""
+"""Name of the object with the metadata of a group or an array. A store exists once its root group has this object."""
 CHECKSUM = "checksum"
-"""Attribute with the checksum of all other attributes of a group."""
+"""Name of the attribute of a group with the checksum of all its other attributes."""
 CRC32C = {"name": "crc32c"}
 COMPRESSED = ({"name": "zstd", "configuration": {"level": 0, "checksum": False}}, CRC32C)
 """Codecs of every chunk after its encoding as bytes: compression, and a checksum that reveals damage by a disk."""

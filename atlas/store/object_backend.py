@@ -141,7 +141,7 @@ def picklable_backend(backend: StoreBackend) -> StoreBackend:
 
 
 def is_url(store: object) -> TypeGuard[str]:
-    """Return True if the name of a store is a URL. A scheme has at least two letters, since C: is a disk of Windows."""
+    """Return True if a store is given by a URL. A scheme has at least two letters, since C: is a disk of Windows."""
     return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 

@@ -86,7 +86,7 @@ class Origin:
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> "Origin | None":
-        """Return the origin that is stored in attributes of a root; None if there is none."""
+        """Return the origin that the attributes of a store's root record; None if the store has none."""
         if "origin" not in attributes:
             return None
         fields = json.loads(attributes.get("origin_retry", "null"))

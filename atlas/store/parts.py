@@ -44,7 +44,10 @@ def drop_parts(handle: AtlasStore, group: str) -> None:
 
 
 def finished_parts(handle: AtlasStore, group: str, digest: str) -> set[str]:
-    """Return the names of the parts that a search with this digest has finished; remove parts of any other search."""
+    """Return the names of the parts of a group that a search with this digest has finished and stored.
+
+    Parts of a search with another digest are removed.
+    """
     if get_part(handle, group, DIGEST) != digest.encode():
         drop_parts(handle, group)
         put_part(handle, group, DIGEST, digest.encode())

@@ -76,7 +76,8 @@ def count_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArra
 
 
 def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the mask of valid tile records: their counts by regime and by reason add up to the cells of their tile.
+    """Return the mask (...) of valid tile records: their counts by regime and by reason add up to the cells of their
+    tile.
 
     rows   (..., WIDTH) tile records
     sizes  (...) number of cells of each tile

@@ -54,7 +54,7 @@ FORMAT = "impact-atlas"
 FORMAT_VERSION = 3
 """The only version of the store's format that this program reads. It rises whenever ``layout`` gives other bytes."""
 SPEC_KEY = f"spec/{ROOT}"
-"""Key of the metadata of the group that repeats the attributes of the root."""
+"""Key of the object with a second copy of the root's attributes, the metadata of the group ``spec``."""
 OVERVIEWS = "overviews"
 """Name of the group of the overviews, coarser copies of the atlas."""
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
@@ -77,7 +77,12 @@ DIMENSIONS = {"state": COMPONENT}
 
 
 class StoredArray(NamedTuple):
-    """An array that is stored in one chunk: a coordinate, or a column of a table."""
+    """An array that is stored in one chunk: a coordinate, or a column of a table.
+
+    values      its values
+    dims        names of its dimensions
+    attributes  its attributes in the store
+    """
 
     values: Any
     dims: tuple[str, ...]
@@ -222,7 +227,10 @@ def remedy(backend: StoreBackend) -> str:
 
 
 def _variable_node(variable: Variable, spec: Spec, tiling: Tiling) -> dict[str, Any]:
-    """Return the metadata of a result with one object per tile: a chunk, or for a large tile a shard of chunks."""
+    """Return the Zarr metadata of a result variable, which has one object per tile.
+
+    The object is a chunk, or for a large tile a shard with several chunks.
+    """
     extra = tuple(spec.extra_sizes[dim] for dim in variable.extra_dims)
     return array_node(
         tiling.shape + extra,

@@ -18,7 +18,7 @@ from atlas.store.object_backend import Given, LocalBackend, ObjectBackend, Store
 from atlas.store.zarr_backend import ZarrBackend
 
 LEASE_NAME = "claim"
-"""Name of the object that holds the lease of a store; the run whose token it holds has the lease."""
+"""Name of the object of a sidecar that is the lease of the store. The run whose token it contains has the lease."""
 
 
 def sidecar_of(store: Given) -> StoreBackend:

@@ -1,4 +1,4 @@
-"""The handle of a store: it opens the store and describes its spec, its arrays and its finished tiles."""
+"""The handle of a store, which opens the store and gives access to its spec, its arrays and its finished tiles."""
 
 import hashlib
 import json
@@ -106,9 +106,10 @@ class AtlasStore:
         return self  # a handle never changes
 
     def current(self) -> "AtlasStore":
-        """Return this handle if the store's root is unchanged, else a new one. Raise errors like ``open_store``.
+        """Return this handle if the store has not been replaced since, that is if its root is unchanged; else a new
+        handle.
 
-        This takes one request, fewer than opening the store.
+        Raise errors like ``open_store``. This takes one request, fewer than opening the store.
         """
         with os_errors_as_input_errors(self.backend, "read"):
             same = self.state and _state(self.backend.get(ROOT)) == self.state
@@ -154,7 +155,7 @@ class AtlasStore:
 
     @SharedCachedProperty
     def tiling(self) -> Tiling:
-        """The tiles of the store."""
+        """The division of the store's cells into tiles."""
         return Tiling(self.spec.shape, self.tile)
 
     @property
@@ -192,7 +193,7 @@ class AtlasStore:
 
     @SharedCachedProperty
     def coordinates(self) -> dict[str, StoredArray]:
-        """Coordinates, by name."""
+        """Coordinate arrays of the store by name, made from the spec."""
         return coordinates(self.spec)
 
 
@@ -318,7 +319,7 @@ def done_tiles(handle: AtlasStore) -> set[tuple[int, ...]]:
 
 
 def is_done(handle: AtlasStore, index: tuple[int, ...]) -> bool:
-    """Return True if one tile is finished; see ``done_tiles`` for all tiles."""
+    """Return True if the tile with this index is finished; see ``done_tiles`` for all tiles."""
     return handle.backend.exists(chunk_key(handle.regime, index))
 
 

@@ -132,7 +132,9 @@ class TileRecords:
         return self.known_mask & (self.columns(CELLS)[..., code_mask].sum(axis=-1) == 0)
 
     def _blocks(self) -> Iterator[tuple[Block, Rows]]:
-        """Yield (tiles, rows) for each chunk of the table: the slices of its tiles, and their records (..., WIDTH)."""
+        """Yield the content of each chunk of the table of records: the slices of its tiles, and their records (...,
+        WIDTH).
+        """
         table, grid = _table(self.handle), self.handle.tiling.grid
         for block in _blocks_of(grid):
             try:
@@ -187,7 +189,7 @@ class RunTileRecords:
             self._next = end + max(SAVE_SECONDS, SAVE_SHARE * (end - begin))
 
     def clear_table(self) -> None:
-        """Remove all records from the table, but not from memory: tiles are about to change."""
+        """Remove all records from the table in the store, but not from memory, since tiles are about to change."""
         self._handle.backend.confirm_lease()
         keys = [_chunk_key(block, self._handle.tiling.grid) for block in _blocks_of(self._handle.tiling.grid)]
         self._handle.backend.remove_all(keys)
@@ -247,9 +249,9 @@ EXCHANGED = "its digest does not match: its chunks were swapped with another til
 
 
 def is_exchanged(records: TileRecords, index: Index, row: Rows) -> bool:
-    """Return True if the record of a finished tile has another digest than ``row``.
+    """Return True if the digest in a tile's stored record differs from that of ``row``, computed from the tile's cells.
 
-    ``row`` is the record computed from the cells of the tile.
+    The tile's chunks were then swapped with another tile's, or altered.
     """
     digest = records.columns(DIGEST)[index]
     return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])

@@ -54,7 +54,10 @@ def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], ar
 
 
 def _begin_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Record the host that writes a tile, remove old objects that the tile no longer has, and return its record."""
+    """Prepare writing a tile and return the tile's record.
+
+    This host is recorded, and old objects that the tile no longer has are removed.
+    """
     record_host(handle, current_host())
     sparse = (variable for variable in _written(handle) if variable.sparse)
     absent = [chunk_key(variable, index) for variable in sparse if is_blank(arrays[variable.name], variable)]
@@ -69,7 +72,7 @@ def _with_allowances(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping
 
 
 def _written(handle: AtlasStore) -> list[Variable]:
-    """Return the variables of cells in the store, ``regime`` last."""
+    """Return the variables of cells that the store has, ``regime`` last, in the order in which a tile is written."""
     return [*handle.allowances, *handle.variables]
 
 
@@ -86,7 +89,7 @@ def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str
 
 
 def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
-    """Return the objects, by key, of a Zarr array with these values in a block of whole objects.
+    """Encode values of a block of a Zarr array as the objects to store, by key. The block consists of whole objects.
 
     Objects that hold fill values alone are included unless ``sparse``, so that a missing object is a missing result.
     """

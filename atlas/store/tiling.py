@@ -1,4 +1,4 @@
-"""The division of a block of cells into tiles, and of large tiles into chunks."""
+"""The division of an atlas's cells into tiles, and of large tiles into chunks."""
 
 import itertools
 import math
@@ -28,7 +28,11 @@ def part_side(tile: int) -> int:
 
 @dataclass(frozen=True)
 class Tile:
-    """A block of cells that is solved and written as one: its index along each dimension, and the cells it covers."""
+    """A block of cells that is solved and written as one.
+
+    index   its index along each dimension
+    slices  the cells that it covers
+    """
 
     index: Index
     slices: Slices
@@ -80,7 +84,7 @@ class Tiling:
         return Tile(index, tuple(slice(i * t, min((i + 1) * t, n)) for i, t, n in parts))
 
     def sizes(self) -> NDArray[np.int64]:
-        """Return the number of cells of every tile, as an array over the tiles."""
+        """Return the number of cells of every tile, as an array (grid) over the tiles."""
         along = (
             np.minimum(np.arange(1, count + 1) * tile, cells) - np.arange(count) * tile
             for count, tile, cells in zip(self.grid, self.tile, self.shape, strict=True)

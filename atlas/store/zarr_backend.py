@@ -102,7 +102,7 @@ class ZarrBackend(StoreBackend):
             yield from run_in_zarr(listed())
 
     async def _open(self) -> Any:
-        """Return the Zarr store; None for a zip file that does not exist."""
+        """Return the open Zarr store; None for a zip file that does not exist."""
         if self.file is None:
             return self.root
         try:
@@ -172,7 +172,7 @@ def check_not_packed(backend: StoreBackend) -> None:
 
 
 def run_in_zarr(work: Coroutine[Any, Any, _T]) -> _T:
-    """Return the result of a coroutine that uses Zarr stores, in the event loop that Zarr keeps for them."""
+    """Run a coroutine that uses Zarr stores in the event loop that Zarr keeps for them, and return its result."""
     return asyncio.run_coroutine_threadsafe(work, _zarr_loop(os.getpid())).result()
 
 

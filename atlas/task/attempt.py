@@ -31,7 +31,9 @@ MAX_DEATHS = 2
 
 
 def execute_job(job: RunJob) -> TileReport | DerivedReport:
-    """Execute any job of a run and return its report: a tile, a chunk of the overviews, or the labels of basins."""
+    """Do any job of a run on this worker and return its report: a tile, a chunk of the overviews, or the labels of
+    basins.
+    """
     if job.level == LABELS:
         return label_basins(job)
     return make_chunk(job) if job.level else run_tile_job(job)

@@ -1,4 +1,4 @@
-"""The reference to a run's store that jobs carry: it opens and checks the store."""
+"""The reference to the store of a run that jobs carry to the workers, which open and check the store by it."""
 
 import errno
 from collections.abc import Iterator

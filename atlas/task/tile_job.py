@@ -80,7 +80,7 @@ class TileReport:
 
 @dataclass(frozen=True)
 class DerivedReport:
-    """The report of a job other than a tile.
+    """The report of a job other than a tile: a chunk of the overviews, or the labels of basins.
 
     index     index of the job
     records   new tile records, as pairs of index and record
@@ -106,7 +106,9 @@ def make_chunk(job: RunJob) -> DerivedReport:
 
 
 def label_basins(job: RunJob) -> DerivedReport:
-    """Give the cells of an atlas of basins their final labels, and write the table of its attractors."""
+    """Give the cells of an atlas of basins their final labels, write the table of its attractors, and return the
+    report.
+    """
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         records = complete_basins(handle)

@@ -1,4 +1,4 @@
-"""Branches from the orbit of one cell, after validation of the request."""
+"""Branches of periodic orbits that start from the orbit of one cell, after validation of the request."""
 
 from typing import TYPE_CHECKING
 
@@ -46,7 +46,9 @@ def tree_from(
 
 
 def observed_of(seed: BranchSeed, observe: str | None) -> Observable | None:
-    """Return the observable with this name. Raise InputError if the cell's machine does not have it."""
+    """Return the observable with this name, None if ``observe`` is None. Raise InputError if the machine does not have
+    it.
+    """
     if observe is None:
         return None
     try:

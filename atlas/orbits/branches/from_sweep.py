@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MAX_BRANCHES = 100
-"""Maximum number of branches that are followed through a sweep: more could not be distinguished."""
+"""Maximum number of branches that are followed through a sweep. More could not be distinguished in a picture."""
 MAX_IMPACTS = 12
 """Maximum number of impacts of the orbits that are followed.
 
@@ -96,7 +96,7 @@ def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str]) -> Iterator[dict
 
 
 def _is_covered(tree: BranchTree, cell: dict[str, Any], value: float) -> bool:
-    """Return True if a cell's orbit, or its mirror image, is on a branch of a tree."""
+    """Return True if a cell's orbit, or its mirror image, is on a branch of a tree at the cell's parameter value."""
     n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
     state = np.asarray(cell["state"], dtype=np.float64)
     alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in {symmetric, 1}}

@@ -57,7 +57,7 @@ class BranchTable:
 
     @classmethod
     def from_tree(cls, tree: "BranchTree", observable: Observable | None = None) -> Self:
-        """Return the branches of a tree that has grown."""
+        """Return the table of a tree of branches that have been followed."""
         others = {name: value for name, value in tree.values.items() if name != tree.along}
         return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried), observable)
 
@@ -281,14 +281,18 @@ _PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
 
 
 def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
-    """Return period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
+    """Return period, impacts at the upper and at the lower stop, and symmetry of an orbit with this itinerary.
+
+    An itinerary is a sequence of impacts and other events.
+    """
     return itinerary.sections, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
 
 
 def orbit_name(itinerary: "Itinerary", system: System) -> str:
-    """Return the name of an orbit of a system: n-p-q, and symmetric or not.
+    """Return the name of an orbit of a system as text: n-p-q, and "symmetric" if it is.
 
-    Without a force it is a cycle n-p-q, or an equilibrium, which has no events.
+    n is the period, p and q are the impacts at the upper and the lower stop. Without a force it is a cycle n-p-q, or an
+    equilibrium, which has no impacts and no other events.
     """
     unforced = system.definition.unforced
     if unforced and not itinerary.sides:

@@ -38,7 +38,8 @@ Array = NDArray[np.float64]
 AMPLITUDES = (0.02, 0.005, 1e-3, 2e-4)
 """Distances from a bifurcation at which an orbit of the branch that forks off there is searched, in turn.
 
-The branch of an orbit found is accepted if it returns to the bifurcation.
+They are in units of the scale of states and times. The branch of an orbit found is accepted if it returns to the
+bifurcation.
 """
 
 CONTINUATION_OFFSET = 1e-3
@@ -77,7 +78,7 @@ class Branch:
 
     @property
     def values(self) -> Array:
-        """The parameter (N,) at each point."""
+        """The value (N,) of the parameter at each of the branch's N points."""
         return np.array([point.values[0] for point in self.run.points])
 
     @property
@@ -100,7 +101,7 @@ class Branch:
         return itineraries
 
     def ends_at(self, event: Event) -> bool:
-        """Return True if the branch ends at an event."""
+        """Return True if the branch ends at a bifurcation or another of its events."""
         return any(self.run.points[end] is event.point and self.run.ends[end] == event.kind for end in (0, -1))
 
     @property

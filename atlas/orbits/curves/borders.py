@@ -7,7 +7,7 @@ from atlas.orbits.curves.plane import Cells, CurvePlane
 from workers.results import PENDING
 
 EDGES_PER_STAGE = 48
-"""Maximum number of edges that are searched in one stage."""
+"""Maximum number of edges between cells that are searched for bifurcations and grazes in one stage."""
 
 EDGES_PER_BORDER = 8
 """Maximum number of edges of one border that are searched in a stage; in the border's first stage one edge is

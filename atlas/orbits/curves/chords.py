@@ -1,4 +1,4 @@
-"""Chords of curves: straight lines between neighbouring points of a curve, and the points that lie near them."""
+"""Geometry of curves as polylines: the chords, straight lines between consecutive points, and points near them."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -52,7 +52,9 @@ class PlaneEvent(NamedTuple):
     kappa: float
 
     def as_event(self) -> Event:
-        """Return the event as a record of ``workers.continuation``."""
+        """Return the bifurcation or graze as an event of ``workers.continuation``, from which its curve can be
+        followed.
+        """
         none = np.zeros(0, dtype=np.complex128)
         return Event(
             self.kind,
@@ -287,7 +289,7 @@ def _conditions(orbits: CellOrbits, event: PlaneEvent, points: list[SolutionPoin
 
 
 def lies_on(orbits: CellOrbits, event: PlaneEvent, known: FollowedCurve) -> bool:
-    """Return True if an event is a point of a known curve.
+    """Return True if an event, a bifurcation or graze at a point of the plane, belongs to a known curve.
 
     The equations of the curve are solved next to the event, and the solution must have the parameters and the orbit of
     the event. Distance in the plane is not enough: curves of different orbits cross, and may coincide.

@@ -13,7 +13,7 @@ from workers.continuation import Orbit
 Array = NDArray[np.float64]
 
 ONE_CELL = 1.0
-"""Maximum distance along either axis, in cells, between a curve and the middle of an edge that it passes."""
+"""Maximum distance along either axis, in cells, of a curve from the midpoint of an edge that it counts as passing."""
 
 DISTANCES_PER_BLOCK = 1 << 22
 """Maximum number of distances between edges and chords that are computed at a time, to limit memory."""
@@ -33,7 +33,7 @@ class CurvePassage(NamedTuple):
 
 
 def edge_midpoints(plane: CurvePlane, edges: Cells) -> Array:
-    """Return the midpoints (E, 2) of edges between cells, in units of cells."""
+    """Return the midpoints (E, 2) of edges, each a pair of neighbouring cells, in units of cells."""
     along = len(plane.x)
     return np.stack([(edges % along).mean(axis=1), (edges // along).mean(axis=1)], axis=1)
 

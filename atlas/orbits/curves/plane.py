@@ -63,7 +63,7 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def proven(self) -> NDArray[np.bool_]:
-        """Mask (cells,) of cells with a known periodic orbit, impact-free motion included."""
+        """Mask (cells,) of cells with a known periodic orbit, which includes motion without impact."""
         return np.isin(self.regime, (PERIODIC, NO_IMPACT)) & (self.period > 0)
 
     @cached_property
@@ -77,9 +77,9 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def window(self) -> dict[str, tuple[float, float]]:
-        """The limits of each axis, from the first to the last edge of the cells.
+        """The limits (low, high) of each axis by name, from the first to the last edge of the cells.
 
-        If the system does not admit values beyond the last point, the limit is that point.
+        If the parameter's valid range ends at a closer value, the limit is the outermost point of the axis.
         """
         bounds = {}
         for name, points, log in zip(self.axes, (self.x, self.y), self.log, strict=True):
@@ -93,7 +93,7 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def width(self) -> Array:
-        """The widths (2,) of the window."""
+        """The widths (2,) of the plane along x and y, in units of the parameters."""
         return np.array([self.window[name][1] - self.window[name][0] for name in self.axes])
 
     def places(self, values: Array) -> Array:
@@ -117,7 +117,8 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def regions(self) -> Cells:
-        """The number (cells,) of the connected region of each proven cell; 0 for other cells.
+        """The number (cells,) of the connected region to which each cell belongs; 0 for cells without a known periodic
+        orbit.
 
         All cells of a region have the same kind of orbit: regime, period, impacts, symmetry, contacts and slides.
         """

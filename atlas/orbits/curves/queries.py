@@ -1,4 +1,4 @@
-"""Queries for the stored curves of an atlas, and their tables."""
+"""The stored curves of an atlas for a user's queries, also as pandas tables."""
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def curves_of(ds: "xr.Dataset") -> Curves:
-    """Return the curves in the store of an atlas. Raise InputError if it has none."""
+    """Return the curves that are stored with an atlas, opened as a dataset. Raise InputError if it has none."""
     handle = handle_of(ds)
     curves = read_curves(handle)
     if curves is None:

@@ -1,4 +1,4 @@
-"""The result of a search: each curve once, in a fixed order, with a report."""
+"""The result of a search for curves: each curve once, in a fixed order, with a report on the search."""
 
 from collections import Counter
 from dataclasses import asdict
@@ -89,9 +89,10 @@ def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
 
 
 def edge_share(counts: dict[str, int]) -> float:
-    """Return the share of a group's edges that a curve or a border of basins explains; NaN if the group has no edges.
+    """Return the share of the edges between cells that a curve or a border of basins explains; NaN if there are no
+    edges.
 
-    ``counts`` is one group of the counts of ``report_of``.
+    ``counts`` has the counts of one group of edges, as in ``report_of``.
     """
     return (counts["curve"] + counts["basins"]) / counts["all"] if counts["all"] else float("nan")
 

@@ -1,4 +1,4 @@
-"""The budget of a search for curves."""
+"""The budget of a search for curves, and the version of its method."""
 
 import hashlib
 from dataclasses import asdict, dataclass, fields

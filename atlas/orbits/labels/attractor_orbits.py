@@ -1,4 +1,4 @@
-"""The attractors of a finished atlas as rows of arrays, and candidates for links between neighbouring cells."""
+"""The attractors of a finished atlas that are periodic orbits, as arrays, and pairs of them in neighbouring cells."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,7 +47,7 @@ class AttractorOrbitTable(OrbitTable):
         return np.ones(len(self), dtype=np.bool_)
 
     def values(self, rows: Rows) -> Array:
-        """Return the parameters (R, axes) of the cells of orbits."""
+        """Return the axes' parameters (R, axes) of the cells of the given R rows."""
         return np.asarray(self.points[self.cell[rows]])
 
     @cached_property

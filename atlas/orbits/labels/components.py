@@ -15,13 +15,15 @@ Rows = NDArray[np.int64]
 
 
 def branches(count: int, pairs: Rows, change: NDArray[np.float64], cell: Rows, image: Rows) -> tuple[Rows, int]:
-    """Return the branch (count,) of each attractor, numbered by its first attractor, and the number of omitted links.
+    """Group attractors that are connected by links into branches, without two attractors of one cell on a branch.
 
     count           number of attractors
     pairs (L, 2)    links
     change (L,)     change of the orbit along each link: the least change is taken first, equal ones in order
     cell (count,)   cell of each attractor
     image (count,)  mirror image of each attractor, -1 if there is none
+
+    Return the branch (count,) of each attractor, numbered by its first attractor, and the number of omitted links.
 
     >>> branches(3, np.array([[0, 1], [1, 2]]), np.array([0.1, 0.2]), np.array([0, 1, 0]), np.array([-1, -1, -1]))
     (array([0, 0, 1]), 1)

@@ -152,7 +152,7 @@ def mirror_labels(number: Rows, branch: Rows, image: Rows) -> Rows:
 
 
 def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
-    """Write labels into the store, replacing any earlier ones."""
+    """Write the labels of an atlas into its store, as a table, replacing any earlier labels."""
     rows = {"cells": labels.cells, "total_share": labels.total, "mirror": labels.mirror} | dict(labels.kinds)
     label = StoredArray(labels.values.astype(LABEL.dtype), (*handle.spec.dims, ATTRACTOR), variable_attributes(OF_ALL))
     about = {
@@ -164,6 +164,6 @@ def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
 
 
 def stored_count(handle: AtlasStore) -> LabelCounts | None:
-    """Return the counts of the stored labels; None if there are none, or this version would find other labels."""
+    """Return the counts of the stored labels; None if there are none, or another version of the method found them."""
     stored = current_group(handle, LABELS, VERSION)
     return None if stored is None else LabelCounts(**stored[1]["count"])
