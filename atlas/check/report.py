@@ -50,7 +50,7 @@ class VerifyReport(Summary):
     overview_chunks    number of chunks of overviews read whole, and compared with the cells below them
     repaired           tiles that became unfinished, so that the next run solves them again; None without repair
     dropped            number of faulty chunks of overviews that were removed
-    removed            keys of removed objects: those that belong to no chunk, and leftovers
+    removed            keys of removed objects: objects that are no chunks, and leftovers
     restored           other repairs, one line each
     leftovers          files of killed writes, which nothing reads: no faults, but a repair removes them
     """
