@@ -1,4 +1,4 @@
-"""The saddles between the basins of the attractors of one cell."""
+"""The saddles between the basins of one cell's attractors: unstable orbits on the boundaries."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -59,7 +59,7 @@ def saddles(
 
 
 def saddles_between(requested: AttractorSearch, norm: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """Return the ``saddles`` of an attractor search."""
+    """Return the results of ``saddles`` for an attractor search; ``norm`` gives weights of components of the state."""
     from atlas.robustness.boundary_tracking import saddles_of
 
     record = requested.record
@@ -73,7 +73,11 @@ def saddles_between(requested: AttractorSearch, norm: Mapping[str, float] | None
 
 
 def saddles_in(ds: "xr.Dataset", spec: "Spec", axes: Sequence[str]) -> "list[Array]":
-    """Return the section points (N, 2) of each saddle between the basins of one mass, in the order of ``axes``.
+    """Return the states of each saddle between the basins of an atlas of one mass, as points (N, 2) of its plane.
+
+    ds     dataset of the atlas
+    spec   spec of the atlas
+    axes   names of the components of the state across and up
 
     Raise InputError if the atlas is not one of basins of one mass.
     """
