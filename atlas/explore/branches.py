@@ -40,7 +40,7 @@ ENDS = {
     "budget": "most points", "stalled": "no further point found", "inadmissible": "orbit ceases",
     "shorter_orbit": "shorter orbit",
 }  # fmt: skip
-"""Words for the ends of a branch that are neither an event nor an end of the parameter range, by the reason of the end."""
+"""Words for the ends of a branch that are neither events nor ends of the parameter range, by reason."""
 
 
 @dataclass(frozen=True)

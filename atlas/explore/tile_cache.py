@@ -21,7 +21,7 @@ MAX_BYTES = 384 * 2**20
 RELIST_SECONDS = 5.0
 """Time, in seconds, after which the finished tiles of the atlas are listed anew, since a run may have written some."""
 MAX_REMEMBERED_ROWS = 4096
-"""Maximum number of rows and columns of tiles for which it is cached whether a cell of them lies in the valid ranges."""
+"""Maximum number of rows and columns of tiles for which it is cached whether one of their cells is in range."""
 
 
 class MemoryTileCache:

@@ -37,7 +37,7 @@ _SHOWN_DPI = 144.0
 """Dots per inch of a figure in a notebook; coarse screens show 72 of them per inch of the figure."""
 _INCHES = {"mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "in": 1.0}
 _PIXELS = (1500, 1100)
-"""Size (x, y), in pixels, of a map's plot in a file of the standard layout; cells larger than a pixel are drawn singly."""
+"""Size (x, y), in pixels, of a map's plot in a file of the standard layout; all cells larger than a pixel are drawn."""
 _LENGTHS = (0.8, 60.0)
 """Minimum and maximum width or height of a figure in inches."""
 _BESIDE = 5.0

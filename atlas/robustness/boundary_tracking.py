@@ -32,7 +32,7 @@ BRACKET, RESTART_DISTANCE = 1e-10, 1e-6
 Both are relative to the distance of the two states at first.
 """
 MAX_STEPS, BURN = 400, 12
-"""Maximum number of forcing periods for which a boundary is tracked, and number of periods before recurrence is tested."""
+"""Maximum number of forcing periods for which a boundary is tracked, and number before recurrence is tested."""
 MAX_PERIOD, RECURRENCE_DISTANCE = 12, 1e-3
 """Maximum period of a saddle, and distance within which the motion on the boundary counts as having recurred.
 
