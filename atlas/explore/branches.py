@@ -194,7 +194,7 @@ class FollowedBranch:
         """Return the plot data of an orbit over its whole period.
 
         The motion is evaluated in closed form from event to event, so that unstable orbits close, too. Its evenly
-        spaced times start at t = k T, the begin of a forcing period T, or at the first event of a limit cycle.
+        spaced times start at t = k T, the start of a forcing period T, or at the first event of a limit cycle.
         """
         from workers.continuation.equations import motion_of
         from workers.continuation.itinerary import many_orbits

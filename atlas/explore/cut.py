@@ -1,6 +1,6 @@
 """A cut: cells along a line over a plane, whose states at t = k T are drawn as a bifurcation diagram.
 
-The states are taken at the begin of each forcing period T and are called section states. The cells are solved coarsely
+The states are taken at the start of each forcing period T and are called section states. The cells are solved coarsely
 first.
 """
 
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CutLine:
-    """A line over a plane of a subject, straight on the scales of its axes; its points are numbered from 0 to STEPS.
+    """The line of a cut over a plane, straight on the scales of the axes; its points are numbered from 0 to STEPS.
 
     subject   the subject that is explored
     plane     the fixed parameters

@@ -45,7 +45,7 @@ from atlas.formatting import plural
 
 
 class CutPanel(Panel[CutLine]):
-    """The panel with the diagrams along the chosen line; it has the cells of the line solved."""
+    """The panel with the diagrams along the line of the cut; it requests the cells of the line from the workers."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, store: PageModel, plane: figure) -> None:
         super().__init__(explorer, background)
@@ -114,7 +114,7 @@ class CutPanel(Panel[CutLine]):
         super().show_error(f"part of the cut: {reason}")
 
     def _take(self, line: CutLine, cells: CutCells) -> None:
-        """Add solved cells of the line to the diagrams."""
+        """Add solved cells of the cut to its diagrams."""
         self._cells = known = cells.merged_with(self._cells)
         self._sources["shown"].data = dict(shown_points(line, known))
         self._sources["exponents"].data = dict(exponents(line, known))

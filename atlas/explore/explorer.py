@@ -67,7 +67,7 @@ class Explorer:
         self.patches.stop()
 
     def explorer_for_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
-        """Return the explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
+        """Return the explorer of the same system over other axes, or of another layer of a stack, on the same cluster.
 
         axes    names of the two parameters across and up
         layer   value of the stack axis; None for the present layer

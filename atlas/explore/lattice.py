@@ -97,7 +97,8 @@ class Lattice:
         low, high   limits of the window
         pixels      width of the window, in pixels
 
-        Cells may be finer by a quarter of a halving, as in the choice of overviews.
+        As in the choice of overviews (coarser copies of an atlas), cells may be narrower than pixels by a factor of
+        2^(1/4).
         """
         first, last = self.positions(np.array([low, high]))
         return min(self.deepest, math.floor(math.log2(max(pixels, 1) / float(last - first)) + 0.25))

@@ -61,7 +61,7 @@ class MotionPanel:
         self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
 
     def show(self, motion: MotionPlotData) -> None:
-        """Draw the cell's own motion and the machine at its begin; the button then animates the machine."""
+        """Draw the cell's own motion and the machine at its start; the button then animates the machine."""
         if len(self._paths.data["xs"]) < 2:  # otherwise the portraits of all attractors are already shown
             self.portray({0: motion})
         y, v, *masses = motion.moving

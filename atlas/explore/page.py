@@ -55,7 +55,7 @@ def build_page(document: Document, explorer: Explorer, folder: Path, pages: "set
     """Fill a Bokeh document with a page, at the view that the document's address asks for.
 
     document   the document, empty so far
-    explorer   explorer of the subject at the address without a query
+    explorer   explorer that an address without a query opens
     folder     folder in which specs of new atlases are written
     pages      set of open pages; the page belongs to it until the session of the document ends
 

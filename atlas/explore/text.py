@@ -120,7 +120,7 @@ def cell_line(cell: CellResult, subject: Subject) -> str:
 def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
     """Return the numbers of a cell with their meanings, as plain JSON for the browser.
 
-    The page then shows those that the cell's regime has.
+    The browser leaves out numbers that cells of the regime do not have.
     """
     variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     numbers = {name: value for name, value in cell.results.items() if isinstance(value, bool | int | float)}

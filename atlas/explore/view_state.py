@@ -184,7 +184,8 @@ def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -
     view      the old view
     values    value of each parameter, by name, for the plane of the new view
 
-    A parameter whose value is out of range, as in the margin of a view, takes the value of the subject's plane.
+    A view may reach beyond the valid range of a parameter. A parameter whose value is out of range therefore takes the
+    value of the subject's plane.
     """
     begun, parameter = initial_view(subject), subject.system.parameter
     return replace(

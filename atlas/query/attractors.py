@@ -21,7 +21,7 @@ def has_all_attractors(ds: "xr.Dataset") -> bool:
 
 
 def select_dominant(ds: "xr.Dataset") -> "xr.Dataset":
-    """Return the dataset with only one attractor in every cell: that which most initial states reach.
+    """Return the dataset with only one attractor in every cell, the attractor that most initial states reach.
 
     A dataset with one attractor per cell is returned unchanged.
     """

@@ -184,10 +184,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _RegionAxis:
-    """Return the axis ``name`` of the selected cells ``part``.
-
-    The edges are those that the cells have in the whole atlas ``ds``.
-    """
+    """Return the axis ``name`` of the selected cells ``part``, with the cells' edges in the whole atlas ``ds``."""
     points, edges = axis_values(part, name), cell_edges(ds, name)
     order = np.argsort(points)
     index = np.searchsorted(np.sort(axis_values(ds, name)), points[order])

@@ -280,10 +280,10 @@ def _beyond(codes: NDArray[np.integer[Any]], code: int, line: NDArray[np.float64
 def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
     """Return the atlas with its exponents, and variables of their unit, per unit time instead of per forcing period.
 
-    lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or a multiple of it if the force has
-    orders that are ratios. The variables largest, error, spectrum and sum_law_defect are loaded and changed; their
-    ``long_name`` has the new unit. Raise InputError if they are per unit time already, or if the forcing frequency is
-    unknown.
+    lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or a multiple of it if orders of the
+    force's harmonics are ratios of whole numbers. The variables largest, error, spectrum and sum_law_defect are loaded
+    and changed; their ``long_name`` has the new unit. Raise InputError if they are per unit time already, or if the
+    forcing frequency is unknown.
     """
     present = [name for name in _EXPONENTS if name in ds]
     if any(rate_of(ds[name]) == PER_TIME for name in present):

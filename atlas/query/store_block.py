@@ -192,9 +192,10 @@ class StoreBlock:
     def _read_each(
         self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]
     ) -> tuple[Cells, list[Slices]]:
-        """Return what ``read_stored`` returns, for a piece with a damaged chunk.
+        """Return the stored variables of a piece with a damaged chunk, and the slices that must not be used.
 
-        ``blocks`` are the parts of the piece in each chunk. Each is read by itself, which finds the damaged ones.
+        Arguments and results are those of ``read_stored``. ``blocks`` are the parts of the piece in each chunk. Each is
+        read by itself, which finds the damaged ones.
         """
         arrays, missing = self._pending(piece, names), blocks
         if len(blocks) > 1:

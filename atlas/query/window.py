@@ -117,7 +117,7 @@ def spec_of_axis(ds: "xr.Dataset", name: str) -> dict[str, Any]:
 def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
     """Return the n + 1 edges of the n cells along an axis, in rising order.
 
-    They are the axis's CF bounds, if it has any, else those that ``edges_of`` finds from the coordinates.
+    They are the axis's CF bounds if it has any, else edges that ``edges_of`` computes from the coordinates.
     """
     bounds = ds[name].attrs.get("bounds")
     if bounds in ds.variables:

@@ -229,7 +229,7 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
 def basins(view: MapView) -> MapLayers:
     """Return the layers of the basin map: initial states by the attractor that they reach, darker for slow settling.
 
-    A mirror image has a paler tone of its twin's hue. The states of the attractors at t = k T, the begin of each
+    A mirror image has a paler tone of its twin's hue. The states of the attractors at t = k T, the start of each
     forcing period, are points over the map. A cycle of a machine without a force is drawn with many points along it.
     """
     known, plane, unforced = reached.table(view.ds), view.plane, text.is_unforced(view.ds)

@@ -218,12 +218,12 @@ class MapLayers:
 
     @property
     def bar(self) -> ScalarLayer | None:
-        """The scalar layer if it has a colorbar, else None."""
+        """The numbers of cells with their colours if the map has a colorbar for them, else None."""
         return self.scalar if self.scalar is not None and self.scalar.bar else None
 
     @property
     def cells_by_number(self) -> Cells:
-        """The mask (y, x) of cells that are coloured by the scalar layer."""
+        """The mask (y, x) of the cells whose colour is that of their number."""
         return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.by_number])
 
     def as_regime(self, regime: int) -> Cells:

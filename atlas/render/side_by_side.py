@@ -178,7 +178,7 @@ def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
 
 
 def _title(compared: Comparison) -> str:
-    """Return the title of a comparison: the common parameters, and below them those that differ.
+    """Return the title of a comparison: the common parameters, and below them the differing ones.
 
     The values of the second atlas come before those of the first.
     """
@@ -196,7 +196,7 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
     """Return the layers of a map of the differences of exponents, second atlas minus first.
 
     first, second   the planes of both atlases
-    pending         mask (y, x) of cells that are not solved in both
+    pending         mask (y, x) of cells that one of the atlases has not solved yet
     layout          layout of the figure, which may set the colour limits
     label           label of the colorbar
     """
@@ -218,8 +218,8 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
 def _changes(first: Plane, second: Plane, pending: Cells, ds: xr.Dataset) -> MapLayers:
     """Return the layers of a map of the second atlas's regimes where the first atlas has another regime.
 
-    ``pending`` (y, x) is the mask of cells that are not solved in both, and ``ds`` the second atlas, in whose words the
-    regimes are named.
+    ``pending`` (y, x) is the mask of cells that one of the atlases has not solved yet. ``ds`` is the second atlas, in
+    whose words the regimes are named.
     """
     same = (first.regime == second.regime) & ~pending, SAME, "same regime"
     layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), second.regime), [same]), ds)

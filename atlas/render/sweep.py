@@ -1,6 +1,6 @@
 """Pictures over one axis: bifurcation diagrams above exponents or shares, of one or two sweeps, and branches of orbits.
 
-A bifurcation diagram shows section values: the gap coordinate at t = k T, the begin of each forcing period.
+A bifurcation diagram shows section values: the gap coordinate at t = k T, the start of each forcing period.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -293,7 +293,7 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: Pl
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
     """Return the function that draws the shares of all attractors, stacked, with white lines between.
 
-    What lacks to 1 are undecided initial states. ``known`` is the table of branches.
+    The rest up to 1 is the share of the undecided initial states. ``known`` is the table of branches.
     """
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:

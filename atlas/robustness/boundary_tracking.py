@@ -2,11 +2,11 @@
 
 Where a boundary between two basins is smooth, it is the stable manifold of an unstable orbit with a single multiplier
 outside the unit circle. A motion on the boundary tends to that orbit, which is found as follows. Two states with a
-boundary between them are bisected until their distance is BRACKET. Both are then mapped from section to section. When
-they are more than RESTART_DISTANCE apart, they are bisected again. What stays between them is a motion on the boundary.
-Once that motion recurs after q periods, Newton's method on P^q(z) - z gives the orbit, and its Jacobian the
-multipliers. The left eigenvector l of the multiplier outside the unit circle is the normal of the stable manifold:
-deviations dz along the manifold have l dz = 0.
+boundary between them are bisected until their distance is BRACKET. Both are then mapped from t = k T to t = (k + 1) T,
+with forcing period T, again and again. When they are more than RESTART_DISTANCE apart, they are bisected again. What
+stays between them is a motion on the boundary. Once that motion recurs after q periods, Newton's method on P^q(z) - z,
+with P the map over one period, gives the orbit, and its Jacobian the multipliers. The left eigenvector l of the
+multiplier outside the unit circle is the normal of the stable manifold: deviations dz along the manifold have l dz = 0.
 
 Skufca, Yorke & Eckhardt, Phys. Rev. Lett. 96 (2006) 174101 (edge tracking).
 """
@@ -53,7 +53,7 @@ ASIDE = 1e-5
 class Saddle:
     """An unstable orbit on the boundary between two basins, with one multiplier outside the unit circle.
 
-    states (q, 2n)     states at t = k T, the begin of each forcing period, in physical coordinates
+    states (q, 2n)     states at t = k T, the start of each forcing period, in physical coordinates
     multipliers (2n,)  Floquet multipliers of the whole orbit
     normal (q, 2n)     normal of its stable manifold at each state, of length 1 in the norm's coordinates w z
     sides              labels of the attractors reached a little aside of the first state, against its normal and along

@@ -1,12 +1,13 @@
-"""The minimal fatal shock: the smallest deviation at a section that takes a motion to another attractor.
+"""The minimal fatal shock: the smallest deviation at a time t = k T that takes a motion to another attractor.
 
-    min |W dz|  over deviations dz of the section states z_k of an attractor from which z_k + dz reaches another one
+    min |W dz|  over deviations dz of the attractor's states z_k at t = k T from which z_k + dz reaches another one
 
-Any fatal shock is an upper bound, so the search only has to find small ones. It begins with the nearest states that are
-known to reach another attractor, and improves the best few. Rays in directions near that of the best shock are tried at
-smaller sizes; if none is fatal, nearer directions are tried. The best shock is bisected along its ray. Then states that
-fill the ball of its size evenly are tried. The search begins again from any fatal state, and ends if there is none. A
-part of that ball that is fatal throughout, with the share ``unseen`` of its volume, is missed in one search of twenty.
+T is the forcing period, and W the diagonal matrix of the norm's weights. Any fatal shock is an upper bound, so the
+search only has to find small ones. It begins with the nearest states that are known to reach another attractor, and
+improves the best few. Rays in directions near that of the best shock are tried at smaller sizes; if none is fatal,
+nearer directions are tried. The best shock is bisected along its ray. Then states that fill the ball of its size evenly
+are tried. The search begins again from any fatal state, and ends if there is none. A part of that ball that is fatal
+throughout, with the share ``unseen`` of its volume, is missed in one search of twenty.
 
 Halekotte & Feudel, Sci. Rep. 10 (2020) 11783.
 """
@@ -26,7 +27,7 @@ from workers.results import BEYOND_TABLE, INVALID, UNKNOWN_LABEL
 
 Labels = NDArray[np.int64]
 Reached = Callable[[Array], Labels]
-"""Function that returns the attractor that each state (N, 2n) at the begin of a forcing period reaches.
+"""Function that returns the attractor that each state (N, 2n) at the start of a forcing period reaches.
 
 The result is UNKNOWN_LABEL if the attractor is unknown, and NO_MOTION if the state lies beyond a stop.
 """
@@ -81,7 +82,7 @@ def minimal_fatal_shock(
 
     reached         function that returns the label of the attractor that states reach
     label           label of the attractor
-    states (p, 2n)  states of the attractor at t = k T, the begin of each forcing period
+    states (p, 2n)  states of the attractor at t = k T, the start of each forcing period
     weights (2n,)   weights of the norm
     known (K, 2n)   states from which another attractor is reached
     seed            seed of the random directions and of the ball
@@ -102,10 +103,14 @@ def minimal_fatal_shock(
 
 
 def shock_of(table: AttractorTable, label: int, weights: Array) -> FatalShock | None:
-    """Return the minimal fatal shock of the attractor with this label; None if no other attractor is known.
+    """Return the smallest shock found that takes motion from one attractor to another; None if no other is known.
 
-    The states known to reach another attractor are initial states of the table, and the section states of the other
-    attractors.
+    table           attractors of one machine
+    label           label of the attractor from which the shock leads
+    weights (2n,)   weights of the norm
+
+    The states known to reach another attractor are initial states of the table, and the states of the other attractors
+    at t = k T.
     """
     count = max(CHAOS_STATES, *(attractor.period for attractor in table.attractors))
     sections = section_points(table, count)
@@ -119,7 +124,7 @@ def shock_of(table: AttractorTable, label: int, weights: Array) -> FatalShock | 
 
 
 def reached_labels(table: AttractorTable, states: Array) -> Labels:
-    """Return the label of the attractor that each state (N, 2n) at the begin of a forcing period reaches.
+    """Return the label of the attractor that each state (N, 2n) at the start of a forcing period reaches.
 
     The label is BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, and UNKNOWN_LABEL if
     not known.

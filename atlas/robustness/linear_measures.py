@@ -1,7 +1,7 @@
 """Measures of an attracting orbit that follow from its linearised map: return time, reactivity, amplification.
 
-An orbit of p forcing periods T has section states z_1, ..., z_p and Jacobians J_k = DP(z_k) of one forcing period: a
-small deviation dz of z_k is J_k dz one period later. In the norm |W dz| of ``norm.weights_of``:
+An orbit of p forcing periods T has states z_1, ..., z_p at t = k T, and Jacobians J_k = DP(z_k) of the map P over one
+period: a small deviation dz of z_k is J_k dz one period later. In the norm |W dz| of ``norm.weights_of``:
 
     return time     -1 / lambda_1 in forcing periods, lambda_1 the largest Lyapunov exponent per period
     reactivity      max_k ln |W J_k W^-1|, the fastest growth over one period; above 0 a deviation can grow before it
@@ -58,7 +58,7 @@ FLAGS = ("no_orbit", "touches_stop", "sticks", "drifts", "lasting", "long", "los
 
 
 class OrbitPhases(NamedTuple):
-    """A periodic orbit at t = k T, the begin of each of its p forcing periods T.
+    """A periodic orbit at t = k T, the start of each of its p forcing periods T.
 
     states (p, 2n)         states in physical coordinates
     jacobians (p, 2n, 2n)  Jacobians of the map over one forcing period at these states
@@ -132,8 +132,8 @@ def one_period(oscillator: Oscillator, h: Array, mode: int) -> tuple[Motion, Arr
     """Return the motion after one forcing period, and the Jacobian (2n, 2n) of the map over this period.
 
     oscillator   record with one machine
-    h (n, 2)     state at the begin of the period, in the coordinates in which the equations are decoupled
-    mode         number of the law of motion at the begin, by which contacts are open and which frictions slide
+    h (n, 2)     state at the start of the period, in the coordinates in which the equations are decoupled
+    mode         number of the law of motion at the start, by which contacts are open and which frictions slide
 
     The Jacobian is that of physical states.
     """
@@ -151,7 +151,7 @@ def not_smooth(oscillator: Oscillator, states: Array) -> str:
 
 
 def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
-    """Return True if one of these states (p, 2n), at the begin of a period, lies on a rigid stop.
+    """Return True if one of these states (p, 2n), at the start of a period, lies on a rigid stop.
 
     A state counts as on the stop if the motion reaches it within AT_SECTION periods.
     """
@@ -169,7 +169,7 @@ def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
     """Return True if friction sticks at one of these states (p, 2n) under a force above the kinetic friction.
 
     A push along the force, however small, then starts sliding; a push against the force does not. The states must be
-    those of a motion of this machine at the begin of a forcing period.
+    those of a motion of this machine at the start of a forcing period.
     """
     if not oscillator.has_modes:
         return False

@@ -33,8 +33,9 @@ def saddles(
     norm: Mapping[str, float] | None = None,
     **named: Any,
 ) -> dict[str, Any]:
-    """Return the unstable orbits between the basins of one cell's attractors, exact, with the boundary's direction
-    there.
+    """Return the unstable orbits between the basins of one cell's attractors, with the direction of the boundary.
+
+    The orbits are exact: Newton's method solves for them.
 
     Parameters, ``starts`` and ``norm`` are as in ``atlas.stability``; attractors have their indices in
     ``atlas.attractors``. Each of ``saddles`` has:
@@ -42,7 +43,7 @@ def saddles(
     period       its period in forcing periods
     between      the two attractors whose basins meet at the saddle
     multipliers  multipliers as [real, imaginary], one of them outside the unit circle
-    states       its section states
+    states       its states at t = k T, the start of each forcing period
     normal       normal of the boundary at each state, a unit vector in the norm's coordinates w z
     slopes       for one mass, dv/dx along the boundary at each state
 

@@ -28,7 +28,7 @@ class SectionMap:
         self.many = lru_cache(maxsize=4)(lambda count: at_rows(oscillator, np.zeros(count, dtype=np.int64)))
 
     def orbits(self, states: Array, periods: int) -> Array:
-        """Return the states (N, periods + 1, 2n) at the begin of each forcing period of motions from N states (N, 2n).
+        """Return the states (N, periods + 1, 2n) at the start of each forcing period of motions from N states (N, 2n).
 
         States are NaN beyond a stop, and after a motion ends.
         """
@@ -46,7 +46,7 @@ class SectionMap:
     def orbit_with_jacobian(self, state: Array, periods: int) -> tuple[Array, Array, Array]:
         """Return a motion from one state over some forcing periods: its states, its last state, and the Jacobian.
 
-        The states (periods, 2n) are those at the begin of each period, the last state (2n,) that at the end. The
+        The states (periods, 2n) are those at the start of each period, the last state (2n,) that at the end. The
         Jacobian (2n, 2n) is that of the last state with respect to the first. All are NaN if the motion cannot be
         followed.
         """
