@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from atlas.errors import InputError
+from atlas.formatting import Summary
 from atlas.spec.spec import Spec
 from workers import solve_tile
 from workers.model.definition import Definition
@@ -41,8 +42,8 @@ class FinerLaws(NamedTuple):
     segments: dict[str, tuple[int, int]]
 
 
-@dataclass(frozen=True)
-class LawCheck:
+@dataclass(frozen=True, repr=False)
+class LawCheck(Summary):
     """The comparison of the cells of a coarse plane by the law and by a law of twice as many segments.
 
     segments  for each law, by its entry, its number of segments at the defaults, in the original and in the finer
@@ -60,7 +61,9 @@ class LawCheck:
     changed: list[tuple[dict[str, float], str, str]]
     state: tuple[float, float, dict[str, float]] | None
 
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The comparison, as sentences."""
         lines = [
             f"{where}: {coarse} segments at the defaults, compared with {fine}"
             for where, (coarse, fine) in self.segments.items()
@@ -77,7 +80,7 @@ class LawCheck:
         ]
         if len(self.changed) > MAX_ROWS:
             lines.append(f"... and {len(self.changed) - MAX_ROWS} more; --json lists all")
-        return "\n".join(lines)
+        return [(line,) for line in lines]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON."""

@@ -117,9 +117,8 @@ def _solve_again(
 
     With ``exact`` they differ in any bit, else beyond their errors.
     """
-    notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
     for k, one in enumerate(samples, 1):
-        notify(Progress(f"solving cell {k} of {len(samples)} again", transient=True))
+        notify(Progress("solving cells again", detail=f"{k} of {len(samples)}"))
         again = solve_again(spec, one)
         different = (
             find_bit_differences(one.stored, again) if exact else find_differences_beyond_error(spec, one.stored, again)

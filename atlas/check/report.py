@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from atlas.errors import REPACK_HINT
-from atlas.formatting import html_table, plural
+from atlas.formatting import Summary, plural
 from atlas.store.tiling import Index
 
 MAX_FAULTS_SHOWN = 50
@@ -31,8 +31,8 @@ class StoreFault:
         return self.what if self.tile is None else f"tile {self.tile}: {self.what}"
 
 
-@dataclass(frozen=True)
-class VerifyReport:
+@dataclass(frozen=True, repr=False)
+class VerifyReport(Summary):
     """The findings of a verification.
 
     store              path or URL of the store
@@ -88,13 +88,13 @@ class VerifyReport:
         return f"atlas verify --repair {self.store}" + ", then run it again" * solves
 
     @property
-    def rows(self) -> list[tuple[str, str]]:
-        """The counts of checked objects, by name."""
+    def rows(self) -> list[tuple[str, ...]]:
+        """The counts of checked objects by name, then the findings."""
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of host)"}
         sample = f"not solved again: {self.comparison}"
         if self.comparison in how:
             sample = f"{plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
-        counts = [
+        counts: list[tuple[str, ...]] = [
             ("tiles", f"{self.tiles_done} of {self.tiles} done" + "; atlas run completes it" * (not self.is_complete)),
             ("chunks", f"{self.chunks} read, checksums correct"),
             ("levels", f"{plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below"),
@@ -104,7 +104,7 @@ class VerifyReport:
         if self.leftovers and self.repaired is None:
             rest = f"{plural(len(self.leftovers), 'file')} of killed writes, which nothing reads: --repair removes them"
             counts.append(("left", rest))
-        return counts
+        return [*counts, *((line,) for line in self.findings)]
 
     @property
     def findings(self) -> list[str]:
@@ -129,12 +129,6 @@ class VerifyReport:
         bad = bool(self.faults or self.doubts)
         lines.append("fine" if self.is_sound else "not fine" if bad else "nothing wrong, but not complete")
         return lines
-
-    def __str__(self) -> str:
-        return "\n".join([*(f"{name:<9}{text}" for name, text in self.rows), *self.findings])
-
-    def _repr_html_(self) -> str:
-        return html_table([*self.rows, *((line,) for line in self.findings)])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas verify --json`` prints."""

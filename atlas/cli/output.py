@@ -4,10 +4,12 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import click
 import numpy as np
+
+from atlas.formatting import Summary
 
 _WIDE = 10_000
 """Width, in characters, of the lines of a table if stdout is no terminal: wider than any table."""
@@ -31,14 +33,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-class Result(Protocol):
-    """A result of a command: its text for people, and a dict for JSON."""
-
-    def as_dict(self) -> Mapping[str, Any]:
-        """Return the result as plain values."""
-
-
-def emit(result: Result, as_json: bool) -> None:
+def emit(result: Summary, as_json: bool) -> None:
     """Print a result as one JSON object, or as its text."""
     click.echo(to_json(result.as_dict()) if as_json else str(result))
 

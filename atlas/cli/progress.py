@@ -12,10 +12,13 @@ import click
 
 from atlas.cli.options import INTERRUPTED, interruptible, print_status
 from atlas.service.options import RunOptions
-from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.task.compile import kernels_for
 from workers import Settings
 from workers.model.system import System
+
+LOG_INTERVAL = 5.0
+"""Length, in seconds, of the interval between two lines in a log."""
 
 Report = Callable[[Progress], None]
 
@@ -59,8 +62,6 @@ class LogReporter(AbstractContextManager["LogReporter"]):
 
     def __call__(self, progress: Progress) -> None:
         """Print the snapshot if the last line is old enough."""
-        if progress.transient:
-            return
         if progress.plan and not self._planned:
             self._planned = True
             self._print(str(progress.plan))
@@ -70,8 +71,8 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._print(progress.stage)
         elif time.monotonic() - self._last >= self._interval:
             self._last = time.monotonic()
-            if progress.format_line != self._line:
-                self._line = progress.format_line
+            if str(progress) != self._line:
+                self._line = str(progress)
                 self._print(self._line)
         if progress.note:
             self._print(progress.note)

@@ -65,7 +65,6 @@ def connect_client(client: "Client | None", options: RunOptions, stack: ExitStac
     the scheduler cannot draw.
     """
     if client is None and options.scheduler is not None:
-        options.report(Progress(f"connecting to {options.scheduler}", transient=True))
         client = stack.enter_context(connect_to_scheduler(options.scheduler, options.tls, options.timing))
     elif client is None and options.workers is None:
         task = task_client()

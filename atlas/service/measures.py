@@ -9,7 +9,7 @@ import numpy as np
 
 from atlas.argument_checks import validate_flag
 from atlas.errors import InputError, RunError
-from atlas.formatting import duration, plural, text_repr
+from atlas.formatting import Summary, duration, plural
 from atlas.robustness.job import (
     NEEDED,
     MeasureJob,
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 Request = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class MeasureSummary(PartCost):
+@dataclass(frozen=True, repr=False)
+class MeasureSummary(PartCost, Summary):
     """Statistics of a store's measures, and the cost of computing them.
 
     store     path or URL of the store
@@ -70,16 +70,16 @@ class MeasureSummary(PartCost):
         }
         return {"store": self.store, "measures": dict(self.measures), **requests, **times}
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The statistics and the cost, as sentences."""
         lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]
         for name, numbers in self.measures.items():
             ends = f", {numbers['least']:.4g} to {numbers['largest']:.4g}, median {numbers['median']:.4g}"
             lines.append(f"{name}: {plural(int(numbers['known']), 'attractor')}{ends if 'median' in numbers else ''}")
         if self.seconds:
             lines.append(f"in {duration(self.seconds)}, {duration(self.processor_seconds)} of processor time")
-        return "\n".join(lines)
+        return [(line,) for line in lines]
 
 
 @with_fields
@@ -178,7 +178,7 @@ def _measure(parts: PartRun[MeasureJob], families: Sequence[str], norm: tuple[tu
 
     def progress() -> Progress:
         solved = stored + parts.cells
-        return Progress(f"measuring: {solved} of {plural(cells, 'cell')}", cells=cells, cells_done=solved)
+        return Progress("measuring", cells=cells, cells_done=solved, detail=f"{solved} of {plural(cells, 'cell')}")
 
     parts.run(jobs, progress)
     many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()

@@ -48,7 +48,7 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
         new = self._last is None or self._last.stage != progress.stage or bool(progress.note)
         self._notes += (progress.note,) if progress.note else ()
         self._last = progress
-        if (new and not progress.transient) or time.monotonic() >= self._due:
+        if new or time.monotonic() >= self._due:
             self._show()
 
     def __exit__(

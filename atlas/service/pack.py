@@ -6,13 +6,13 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from atlas.argument_checks import validate_flag, validate_path
 from atlas.errors import ChunkError, InputError
-from atlas.formatting import byte_size, plural, text_repr
+from atlas.formatting import Summary, byte_size, plural
 from atlas.platform import file_lock, move_whole, temporary_beside
 from atlas.service.lease import LeaseObserver
 from atlas.service.notebook import progress_reporter
@@ -32,8 +32,8 @@ SHOWN = 3
 """Maximum number of missing chunks that a message names."""
 
 
-@dataclass(frozen=True)
-class PackSummary:
+@dataclass(frozen=True, repr=False)
+class PackSummary(Summary):
     """The result of packing a store.
 
     file               path of the zip file
@@ -52,18 +52,19 @@ class PackSummary:
         """True if every tile is finished."""
         return self.tiles_done == self.tiles
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The result, as sentences."""
         packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"
         if self.is_complete:
-            return packed
+            return [(packed,)]
         tiles_text = f"only {self.tiles_done} of {self.tiles} tiles are done"
-        return f"{packed}\n{tiles_text}: the rest reads as pending, and a zip file cannot be completed; keep the store"
+        rest = f"{tiles_text}: the rest reads as pending, and a zip file cannot be completed; keep the store"
+        return [(packed,), (rest,)]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas pack --json`` prints."""
-        return asdict(self) | {"complete": self.is_complete}
+        return super().as_dict() | {"complete": self.is_complete}
 
 
 def pack(
@@ -111,7 +112,6 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
     """Pack the objects of these keys, and return the number of bytes of the file."""
 
     def members() -> Iterator[tuple[str, bytes]]:
-        notify(Progress(f"packing {plural(len(keys), 'object')}"))
         for k, key in enumerate(keys, 1):
             data = handle.backend.get(key)
             if data is None:
@@ -119,7 +119,7 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
                     f"{handle.backend}: {key} was removed meanwhile by a run; pack the store when the run has ended"
                 )
             yield key, data
-            notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", transient=True))
+            notify(Progress("packing", detail=f"{k} of {plural(len(keys), 'object')}"))
         _refuse_running(handle, timing)  # a run may have begun meanwhile
 
     try:

@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 from atlas.errors import RunError
 from atlas.service.attempts import IndexedJob
 from atlas.service.dispatch import WorkerStatus
-from atlas.service.progress import LOG_INTERVAL, Progress
+from atlas.service.progress import Progress
 from atlas.service.store_call import StoreCall
 from atlas.service.summary import TileFailure
 from atlas.service.worker_pool import WorkerPool
@@ -72,8 +72,7 @@ class PartRun(Generic[P]):
         self.pool, self.digests = WorkerPool(call, handle, act, kernels), digests
         self.handle, self.workers = self.pool.handle, call.threads
         self.tasks = self.cells = 0
-        self.processor_seconds = self._reported = 0.0
-        self._stage = ""
+        self.processor_seconds = 0.0
 
     @cached_property
     def stored(self) -> set[str]:
@@ -113,10 +112,6 @@ class PartRun(Generic[P]):
         )
 
     def _report(self, progress: Progress, trouble: str = "") -> None:
-        """Report the progress of the jobs; for a log once every LOG_INTERVAL seconds."""
-        now = time.monotonic()
-        stage = trouble or progress.stage
-        passing = now - self._reported < LOG_INTERVAL or stage == self._stage
-        if not passing:
-            self._reported, self._stage = now, stage
-        self.pool.call.options.report(replace(progress, stage=stage, transient=passing))
+        """Report the progress of the jobs, or why none makes progress."""
+        seconds = time.monotonic() - self.pool.begin
+        self.pool.call.options.report(replace(progress, stage=trouble or progress.stage, seconds=seconds))

@@ -2,7 +2,7 @@
 
 import math
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import InputError, brief_repr
-from atlas.formatting import byte_size, count_of, duration, html_table, plural, text_repr
+from atlas.formatting import Summary, byte_size, count_of, duration, plural
 from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import OverviewLevels
 from atlas.platform import processors
@@ -71,8 +71,8 @@ class ProbeResult:
     high: float
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Summary):
     """Cells, tiles, bytes and time of an atlas. ``str(plan)`` is the text for a terminal.
 
     spec     spec of the atlas
@@ -81,7 +81,7 @@ class Plan:
     probe    measured cost of a cell, or None
     """
 
-    spec: Spec = field(repr=False)
+    spec: Spec
     tiling: Tiling
     workers: int
     probe: ProbeResult | None = None
@@ -171,8 +171,6 @@ class Plan:
             "note": self.note,
         }
 
-    __repr__ = text_repr
-
     @property
     def rows(self) -> list[tuple[str, str]]:
         """The facts of the plan, by name."""
@@ -188,12 +186,6 @@ class Plan:
         cells = f"{self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in {tiles}"
         facts = [("axes", " x ".join(self.spec.axis_descriptions)), ("cells", cells), ("cost", cost)]
         return [*facts, ("note", self.note)] if self.note else facts
-
-    def __str__(self) -> str:
-        return "\n".join(f"{name:<7}{text}" for name, text in self.rows)
-
-    def _repr_html_(self) -> str:
-        return html_table(self.rows)
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:

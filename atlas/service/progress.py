@@ -8,9 +8,6 @@ from atlas.service.plan import Plan
 from atlas.task.compile import compile_notice, compile_once
 from workers.results import REASONS, REGIME
 
-LOG_INTERVAL = 5.0
-"""Length, in seconds, of the interval between two lines in a log."""
-
 
 @dataclass(frozen=True)
 class Progress:
@@ -23,8 +20,7 @@ class Progress:
     cells_solved, seconds   of this run, since its first tile was submitted; before it of the stage, if it counts
     counts                  cells solved in this run by regime
     failures                number of tiles that ended with an error in this run
-    transient               True if it is of interest only while it lasts, and not for a log
-    detail                  how far a stage has come that counts no cells, as text
+    detail                  how far the stage has come, as text; empty for a stage that counts tiles
     note                    a line that remains on the display; empty for none
     """
 
@@ -38,7 +34,6 @@ class Progress:
     seconds: float = 0.0
     counts: Mapping[str, int] = field(default_factory=dict)
     failures: int = 0
-    transient: bool = False
     detail: str = ""
     note: str = ""
 
@@ -54,7 +49,7 @@ class Progress:
 
     @property
     def format_speed(self) -> str:
-        """Cells per second and time left; before the first tile the detail of the stage."""
+        """Cells per second and time left; for a stage without tiles its detail."""
         left = self.seconds_left
         return self.detail if left is None else f"{self.rate:.3g} cells/s, {duration(left)} left"
 
@@ -65,17 +60,16 @@ class Progress:
         return ", ".join(part for part in (shares(self.counts), failed) if part)
 
     @property
-    def format_line(self) -> str:
-        """Tiles, cells, speed, time left and regimes; before the first tile, share or detail, and seconds."""
+    def format_amount(self) -> str:
+        """Tiles, cells, speed, time left and regimes; for a stage without tiles, detail or share, and seconds."""
         if not self.tiles:
-            amount = f"{100 * self.cells_done / self.cells:.0f} %" if self.cells else self.detail
-            after = f"{amount} after " if amount else ""
-            return f"{self.stage}: {after}{duration(self.seconds)}" if self.seconds else self.stage
+            amount = self.detail or (f"{100 * self.cells_done / self.cells:.0f} %" if self.cells else "")
+            return " after ".join(part for part in (amount, duration(self.seconds) if self.seconds else "") if part)
         amount = f"{self.tiles_done}/{self.tiles} tiles, {self.cells_done}/{self.cells} cells"
         return ", ".join(part for part in (amount, self.format_speed, self.outcome) if part)
 
     def __str__(self) -> str:
-        return f"{self.stage}: {self.format_line}" if self.tiles else self.stage
+        return f"{self.stage}: {self.format_amount}" if self.format_amount else self.stage
 
     def __repr__(self) -> str:
         return f"<Progress {self}>"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError
-from atlas.formatting import duration, html_table, text_repr
+from atlas.formatting import Summary, duration
 from atlas.service.lease import LeaseObservation, LeaseObserver, LeaseRecord
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
@@ -19,8 +19,8 @@ from atlas.store.tile_records import TileRecords, count_tiles, counts_by_name
 from workers.results import REASONS, REGIMES
 
 
-@dataclass(frozen=True)
-class StoreStatus:
+@dataclass(frozen=True, repr=False)
+class StoreStatus(Summary):
     """The finished tiles and cells of a store, the regimes of these cells, and the run that writes the store.
 
     handle      handle of the store
@@ -71,33 +71,19 @@ class StoreStatus:
     def _reported(self, name: str) -> float:
         return self.run.number(name) if self.run else 0
 
-    __repr__ = text_repr
-
     @property
-    def rows(self) -> list[tuple[str, str]]:
-        """The facts about the store, by name."""
+    def rows(self) -> list[tuple[str, ...]]:
+        """The facts about the store by name; regimes with their cells and shares of the finished cells; reasons."""
+        total = max(1, self.cells_done)
         return [
             ("axes", " x ".join(self.handle.spec.axis_descriptions)),
             ("tiles", f"{self.tiles_done} of {self.handle.tiling.count} done"),
             ("cells", f"{self.cells_done} of {self.handle.tiling.cells} done ({100 * self.fraction:.1f} %)"),
             ("solver", f"version {self.handle.solver_version}"),
             ("run", self._run()),
+            *((name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()),
+            *((f"  {line}",) for line in reason_lines(self.reasons)),
         ]
-
-    @property
-    def shares(self) -> list[tuple[str, str, str]]:
-        """The regimes: name, number of cells, and fraction of the finished cells."""
-        total = max(1, self.cells_done)
-        return [(name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()]
-
-    def __str__(self) -> str:
-        lines = [f"{name:<9}{text}" for name, text in self.rows]
-        lines += [f"  {name:<15}{count:>10}  {share:>8}" for name, count, share in self.shares]
-        lines += [f"  {line}" for line in reason_lines(self.reasons)]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        return html_table([*self.rows, *self.shares, *((line,) for line in reason_lines(self.reasons))])
 
     def _run(self) -> str:
         if self.run is None:

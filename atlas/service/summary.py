@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from atlas.formatting import duration, plural, shares, text_repr
+from atlas.formatting import Summary, duration, plural, shares
 from atlas.service.plan import Plan
 from atlas.service.progress import Progress, reason_lines
 from atlas.spec.laws import LawUse, law_lines, merged
@@ -32,8 +32,8 @@ class TileFailure:
         return f"tile {self.index} failed{f' on {self.worker}' if self.worker else ''}: {self.message}"
 
 
-@dataclass(frozen=True)
-class RunSummary:
+@dataclass(frozen=True, repr=False)
+class RunSummary(Summary):
     """The result of a run.
 
     store                         path or URL of the store
@@ -81,12 +81,12 @@ class RunSummary:
         """Share of the workers' time spent solving; the rest is writing, queues and waiting for the last tile."""
         return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The facts of the run, as sentences."""
         tiles_line = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
         if not self.tiles_solved:
-            return tiles_line
+            return [(tiles_line,)]
         lines = [
             tiles_line,
             f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
@@ -99,7 +99,7 @@ class RunSummary:
         ]
         if self.retried:
             lines.append(f"{plural(self.changed, 'cell')} changed regime")
-        return "\n".join(lines + reason_lines(self.reasons) + law_lines(self.laws))
+        return [(line,) for line in lines + reason_lines(self.reasons) + law_lines(self.laws)]
 
 
 class RunTotals:
