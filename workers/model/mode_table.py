@@ -154,7 +154,7 @@ MODE_TABLE_SIZE = 64
 """Maximum number of modes in the table of a machine; each segment of its laws adds two."""
 
 MODES_OF_PHASE = 4
-"""Maximum number of modes for each phase, if there are so many phases that this is more."""
+"""Maximum number of modes for each phase, if this allows more modes than MODE_TABLE_SIZE."""
 
 
 @np.errstate(all="ignore")

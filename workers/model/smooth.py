@@ -63,7 +63,7 @@ def starts_of_halves(starts: Array, steps: int) -> Array:
 
 
 def fewest_steps(make: Callable[[int], HybridMachines], phases: int, within: float) -> int:
-    """Return the least number of steps in each of so many phases with ``errors`` of machines within a bound.
+    """Return the least number of steps in each phase for which ``errors`` of machines are within a bound.
 
     ``make`` returns the machines, of which the first is that of the defaults, for a number of steps. Machines without
     an error, such as those with an infinite coefficient, are left out. Raise DefinitionError if there is no such
