@@ -47,7 +47,7 @@ class Lattice:
 
     @cached_property
     def deepest(self) -> int:
-        """The finest zoom level: its neighbouring points differ by MIN_STEP_ULPS units in the last place of a double."""
+        """The finest zoom level, whose points still differ by MIN_STEP_ULPS units in the last place of a double."""
         steps = np.diff(self._points) / np.spacing(np.abs(self._points).max())
         return max(0, math.floor(math.log2(float(steps.min()) / MIN_STEP_ULPS)))
 

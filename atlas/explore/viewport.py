@@ -55,7 +55,7 @@ class CellRange:
         return np.arange(self.first, self.first + self.count, dtype=np.int64)
 
     def tiles(self, stage: int) -> range:
-        """Return the indices of the tiles that contain the cells, at the zoom level that is ``stage`` levels coarser."""
+        """Return the indices of the tiles that contain the cells, at a zoom level that is ``stage`` levels coarser."""
         half = (1 << stage) // 2
         first, last = (((end + half) >> stage) // TILE_CELLS for end in (self.first, self.last))
         return range(first, last + 1)
@@ -133,7 +133,7 @@ class Viewport(NamedTuple):
         return self.y.count, self.x.count
 
     def tiles(self, stage: int) -> list[TileKey]:
-        """Return the keys of the visible tiles at the levels that are ``stage`` levels coarser, from the centre out.
+        """Return the keys of the visible tiles at zoom levels that are ``stage`` levels coarser, from the centre out.
 
         Distances from the centre are measured in lengths of the viewport, so that a wide viewport does not begin with a
         column.
@@ -143,7 +143,7 @@ class Viewport(NamedTuple):
         return sorted(keys, key=lambda key: self.x.away(key.columns) ** 2 + self.y.away(key.rows) ** 2)[:MAX_TILES]
 
     def stage(self, key: TileKey) -> int:
-        """Return by how many zoom levels a tile is coarser than the viewport, along the axis of the larger difference."""
+        """Return by how many zoom levels a tile is coarser than the viewport, along the axis with more of them."""
         return max(self.x.level - key.level_x, self.y.level - key.level_y)
 
     def contains(self, key: TileKey) -> bool:
