@@ -1,4 +1,6 @@
-"""Numbers as text, and symbols of mathtext in Unicode, for terminals and pages that cannot show mathematics."""
+"""Numbers, counts and times as text, and mathematical symbols in Unicode, for terminals and pages that cannot show
+mathtext.
+"""
 
 import re
 import unicodedata
@@ -31,7 +33,10 @@ def duration(seconds: float) -> str:
 
 
 def short_repr(value: Any) -> str:
-    """Return a dataclass as a call with the fields that differ from their defaults, without ``repr=False`` fields."""
+    """Return a dataclass as the text of a call with the fields that differ from their defaults.
+
+    Fields with ``repr=False`` are left out.
+    """
     visible_fields = [entry for entry in fields(value) if entry.repr]
     changed = [
         f"{entry.name}={field_value!r}"

@@ -12,7 +12,7 @@ import numpy as np
 from atlas.formatting import Summary
 
 _WIDE = 10_000
-"""Width, in characters, of the lines of a table if stdout is no terminal: wider than any table."""
+"""Width, in characters, of the lines of a table if stdout is no terminal; no table is wider."""
 
 
 def to_json(value: Any) -> str:
@@ -21,7 +21,7 @@ def to_json(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return the value in JSON's types: NaN as None, infinities as "inf" and "-inf", arrays and tuples as lists."""
+    """Convert a value to JSON's types: NaN to None, infinities to "inf" and "-inf", arrays and tuples to lists."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -57,7 +57,10 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
 
 
 def print_values(values: Mapping[str, Any], listed: str = "") -> None:
-    """Print names and values as a table, and the attractors that the value ``listed`` contains as another."""
+    """Print names and values as a table.
+
+    If ``listed`` is the name of a value that is a list of attractors, the list is printed as a second table.
+    """
     print_table("", ["", ""], [(name, text(value)) for name, value in values.items() if name != listed])
     several: Sequence[Mapping[str, Any]] = values.get(listed, [])
     if several:
@@ -67,7 +70,7 @@ def print_values(values: Mapping[str, Any], listed: str = "") -> None:
 
 
 def text(value: Any) -> str:
-    """Return a result as text for people: numbers to ten digits, yes and no, lists in brackets."""
+    """Return a single result as text for people: numbers to ten digits, yes and no, lists in brackets."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, bool):

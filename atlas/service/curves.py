@@ -1,4 +1,7 @@
-"""Finding a plane's curves on the workers: stages of jobs, whose parts are kept in the store, then the curves."""
+"""Find the curves of a finished two-parameter atlas on the workers, and write them into its store.
+
+The search is a sequence of stages of jobs. Results of jobs are kept in the store as parts, so that a search resumes.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

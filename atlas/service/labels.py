@@ -1,4 +1,4 @@
-"""Labelling the attractors of a finished atlas, in this process, into its store."""
+"""Label the attractors of a finished atlas, in this process, and write the labels into its store."""
 
 import time
 from dataclasses import asdict, dataclass

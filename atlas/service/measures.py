@@ -1,4 +1,7 @@
-"""Measuring the attractors of a finished atlas on the workers: parts that the store keeps, then the measures."""
+"""Measure the stability of the attractors of a finished atlas on the workers.
+
+The workers' results are kept in the store as parts, so that an interrupted measurement resumes.
+"""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -51,11 +54,11 @@ Request = dict[str, Any]
 
 @dataclass(frozen=True, repr=False)
 class MeasureSummary(PartCost, Summary):
-    """Statistics of a store's measures, and the cost of computing them.
+    """Statistics of a store's stability measures, and the cost of computing them.
 
     store     path or URL of the store
     measures  statistics by measure
-    requests  stored requests by family of measures
+    requests  what each stored family of measures was computed for: ``norm``, and ``content``, a digest of the cells
     """
 
     store: str
@@ -123,10 +126,10 @@ def measure_attractors(
 
 
 def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> dict[str, Request]:
-    """Return the request of each family of measures by name; a family is computed together, such as the shocks.
+    """Return what is to be measured: for each family of measures the norm and a digest of the cells.
 
-    The ``content`` of a request is a digest of the cells that its measures depend on. Stored measures with another
-    digest are out of date.
+    The measures of a family are computed together, such as all those of shocks. Stored measures with another digest,
+    the ``content`` of a request, are out of date.
     """
     if shocks and not handle.spec.coexistence:
         raise InputError(
@@ -140,7 +143,7 @@ def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> di
 
 
 def _still_true(stored: StoredMeasures, requests: Mapping[str, Request]) -> StoredMeasures:
-    """Return the stored measures of the present cells."""
+    """Return those of the stored measures that belong to the present cells of the atlas."""
     content = requests[LINEAR]["content"]
     current_requests = {
         family: request for family, request in stored.requests.items() if request.get("content") == content
@@ -152,7 +155,7 @@ def _still_true(stored: StoredMeasures, requests: Mapping[str, Request]) -> Stor
 
 
 def _content(handle: AtlasStore) -> str:
-    """Return a digest, as text, of the results of cells that the measures of attractors depend on."""
+    """Return a digest of the cells' results on which the stability measures depend, as text."""
     content = hashlib.sha256(handle.digest.encode())
     for index in sorted(tile.index for tile in handle.tiling.tiles()):
         for name, values in sorted(read_tile(handle, index, NEEDED).items()):
@@ -165,7 +168,7 @@ def _digest(requests: Mapping[str, Request]) -> str:
 
 
 def _measure(parts: PartRun[MeasureJob], families: Sequence[str], norm: tuple[tuple[str, float], ...]) -> Arrays:
-    """Return the measures of some families over all cells."""
+    """Compute the measures of some families on the workers, and return them as arrays over all cells, by name."""
     handle, ref = parts.handle, parts.pool.store_ref
     every = ((family, *piece) for family in families for piece in pieces(handle, family))
     jobs = [

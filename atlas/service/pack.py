@@ -1,4 +1,4 @@
-"""Packing a store into one zip file, which every reading command and plain xarray can open."""
+"""Pack a store into one zip file, which every reading command and plain xarray can open."""
 
 import glob
 import os
@@ -26,7 +26,7 @@ from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
 from atlas.store.zarr_backend import SUFFIX
 
 _SINCE = (1980, 1, 1, 0, 0, 0)
-"""Date of every member, so that equal atlases give equal files."""
+"""Modification date of every member of the zip file; it is constant, so that equal atlases give equal files."""
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 SHOWN = 3
 """Maximum number of missing chunks that a message names."""
@@ -34,7 +34,7 @@ SHOWN = 3
 
 @dataclass(frozen=True, repr=False)
 class PackSummary(Summary):
-    """The result of packing a store.
+    """The result of packing a store into a zip file.
 
     file               path of the zip file
     objects, bytes     number of its objects, and its size
@@ -109,7 +109,7 @@ def pack(
 
 
 def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
-    """Pack the objects of these keys, and return the number of bytes of the file."""
+    """Write the objects of a store with these keys into a zip file, and return the number of bytes of the file."""
 
     def members() -> Iterator[tuple[str, bytes]]:
         for k, key in enumerate(keys, 1):
@@ -129,7 +129,7 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
 
 
 def _refuse_links(store: Path) -> None:
-    """Raise InputError if something in a store is neither a folder nor a file of its own."""
+    """Raise InputError if the folder of a store contains a link or a special file."""
     for folder, folders, files in os.walk(store):
         for name in (*folders, *files):
             path = Path(folder) / name
@@ -139,7 +139,12 @@ def _refuse_links(store: Path) -> None:
 
 
 def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
-    """Raise ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read."""
+    """Raise ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read.
+
+    handle  the store
+    tiles   indices of its finished tiles
+    keys    keys of all its objects
+    """
     needed = [v for v in handle.variables if not v.sparse]
     lost = [key for index in sorted(tiles) for variable in needed if (key := chunk_key(variable, index)) not in keys]
     if lost:
@@ -156,9 +161,9 @@ def _refuse_running(handle: AtlasStore, timing: Timing) -> None:
 
 @contextmanager
 def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
-    """Hold the lock of an unfinished file; the lock is deleted at the end.
+    """Hold the lock of an unfinished zip file within the block; the lock file is deleted at the end.
 
-    Raise OSError if another process holds it.
+    ``timeout`` is the time in seconds to wait for the lock, -1 for no limit. Raise OSError if another process holds it.
     """
     path = unfinished.with_suffix(".lock")
     path.touch()  # the lock would create a missing folder
@@ -173,7 +178,7 @@ def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
 
 
 def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
-    """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
+    """Write (name, bytes) members into a zip file, and return its size in bytes. The file appears whole, or not at all.
 
     Nothing is compressed: chunks already are, and metadata are small. Unlocked files left by killed writers are
     removed.

@@ -1,4 +1,4 @@
-"""Progress of a run, as snapshots for displays and logs."""
+"""The progress of a run as a value, which displays and logs show."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,13 +11,14 @@ from workers.results import REASONS, REGIME
 
 @dataclass(frozen=True)
 class Progress:
-    """A snapshot of a run.
+    """A snapshot of the progress of a run.
 
     stage                   present activity, as text
     plan                    plan of the run, from the stage on at which it is known; else None
-    tiles, cells            numbers in all
+    tiles, cells            numbers of tiles and cells of the atlas
     tiles_done, cells_done  numbers in the store, including earlier runs
-    cells_solved, seconds   of this run, since its first tile was submitted; before it of the stage, if it counts
+    cells_solved            number of cells that this run has solved
+    seconds                 seconds since the first tile of this run was submitted; before, those of the present stage
     counts                  cells solved in this run by regime
     failures                number of tiles that ended with an error in this run
     detail                  how far the stage has come, as text; empty for a stage that counts tiles
@@ -44,18 +45,18 @@ class Progress:
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds to the end at this rate; None before the first tile."""
+        """Seconds to the end at the present rate of solving; None before the first tile."""
         return (self.cells - self.cells_done) / self.rate if self.rate else None
 
     @property
     def format_speed(self) -> str:
-        """Cells per second and time left; for a stage without tiles its detail."""
+        """Cells per second and time left, as text; for a stage without tiles its ``detail``."""
         left = self.seconds_left
         return self.detail if left is None else f"{self.rate:.3g} cells/s, {duration(left)} left"
 
     @property
     def outcome(self) -> str:
-        """Regimes solved and tiles failed; empty before the first tile."""
+        """Numbers of cells solved by regime, and of tiles failed, as text; empty before the first tile."""
         failed = f"{plural(self.failures, 'tile')} failed" if self.failures else ""
         return ", ".join(part for part in (shares(self.counts), failed) if part)
 
@@ -76,16 +77,19 @@ class Progress:
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
-    """Return a line for each reason why results are missing or uncertain.
+    """Return a line of text for each reason why results are missing or uncertain, with the number of its cells.
 
-    An example is ``3 invalid cells: the initial state lies ...``.
+    ``reasons`` has the numbers by reason. An example is ``3 invalid cells: the initial state lies ...``.
     """
     meant = {reason.text: REGIME.meaning(reason.regime).name for reason in REASONS}
     return [f"{plural(count, f'{meant[text]} cell')}: {text}" for text, count in reasons.items()]
 
 
 def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:
-    """Compile the kernels of cells, and ``more``, on this host unless they are compiled, and report the progress."""
+    """Compile the kernels that solve cells, and the kernels named ``more``, on this host unless they are compiled.
+
+    ``report`` is called with the progress.
+    """
     stage = compile_notice(*more)
 
     def report_compilation(functions: int | None, seconds: float) -> None:
