@@ -25,7 +25,7 @@ STEP = 0.6
 """Maximum step of a branch that leads from a cell past an edge, as a share of the distance between cells."""
 
 SAME_EVENT_DISTANCE = 1e-8
-"""Distance, relative to the width of the plane, below which two events with the same orbit are one event."""
+"""Distance in the plane, relative to its width, below which two bifurcations or grazes with the same orbit are one."""
 
 NEAR_CURVE = 5e-3
 """Maximum distance, relative to the width of the plane, between an event and the polyline of a curve that may contain

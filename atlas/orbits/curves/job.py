@@ -20,7 +20,7 @@ from atlas.task.store_ref import PartReport, StoreRef, WorkerRefusedError, store
 
 @dataclass(frozen=True)
 class CurveJob:
-    """A job for one task of a search. ``run_and_store`` runs it in the calling process.
+    """A job for one task of a search for curves. ``run_and_store`` runs it in the calling process.
 
     index      index of the job
     name       name under which the result is stored, as a part of the store

@@ -163,7 +163,7 @@ def read_curves(handle: AtlasStore) -> Curves | None:
 
 
 def as_arrays(table: Curves) -> dict[str, StoredArray]:
-    """Return the curves as arrays with the dimensions ``curve``, ``point`` and ``corner``.
+    """Return the curves as arrays with the dimensions ``curve``, ``point`` and ``corner``, a point of codimension two.
 
     Points of all curves are concatenated, with the number of points of each in ``row_size``, as in CF's ragged arrays.
     """
