@@ -83,7 +83,7 @@ class FollowedCurve(NamedTuple):
     orbits         orbits of the points
     contact_times  times, at each point, of the orbit's contacts at zero velocity
     conditions     condition of the event on each orbit
-    unstable (N,)  number of multipliers with modulus above 1 not counting the event's own
+    unstable (N,)  number of multipliers with modulus above 1, not counting the event's own
     corners        points of codimension two: kind, and parameters (2,)
     ends           why the curve ends at its first and its last point
     """

@@ -59,7 +59,7 @@ def run_and_store(job: CurveJob) -> PartReport:
 
 
 def read_part(handle: AtlasStore, name: str) -> dict[str, Any]:
-    """Return the stored result of a task by its name. Raise RefusedError if the store does not have it."""
+    """Return the stored result of a task by its name. Raise WorkerRefusedError if the store does not have it."""
     part: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
     return part
 
