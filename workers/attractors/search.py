@@ -31,7 +31,7 @@ from workers.settings import Settings
 from workers.tile import MAX_SECTION_BYTES, result_arrays
 
 WATCH_INTERVAL = 1024
-"""Maximum number of periods of an interval of watching."""
+"""Maximum number of periods for which a watched motion is simulated before it is looked at again."""
 
 MAX_MOTIONS, MIN_MOTIONS = 4096, 64
 """Maximum and minimum number of motions searched together; the memory for section states decides between them."""
@@ -47,7 +47,7 @@ class KnownAttractors:
     """The known attractors of many cells; a motion is compared with the attractors of its own cell.
 
     attractors  all attractors, cell by cell; a label is an index into this list
-    places      labels of the compared orbits, in the order of ``orbits``
+    places      labels of the stable orbits in ``orbits``, in their order
     references  chaos and tori by cell
     cycles      cycles of machines without a force by cell
     orbits      orbits in the form for kernels
@@ -81,7 +81,7 @@ class MotionSearch:
     label      (N,) labels of the known attractors reached, -1 if there is none
     arrival    (N,) periods until a motion is within a hundredth of its scale of a known orbit, -1 if it reached none
     distance   (N,) distances in standard errors from the attractors assigned by statistics
-    reference  batches of motions on new chaos or tori, by row
+    reference  statistics (k, 4n), means over batches of states, of motions on new chaos or tori, by row
     compared   (N,) periods on the attractor after its class was known
 
     The motions have parameters (N,) and begin at physical states (N, 2n). Motions that continue earlier ones also have
@@ -149,7 +149,11 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = matching.REFERENCE) -> tuple[Rows, Array]:
-        """Return the motions of ``rows`` that reach no orbit, and their batches (rows, batches, 4n)."""
+        """Simulate motions over ``batches`` batches of sections; return those that reach no orbit, and statistics.
+
+        The statistics (rows, batches, 4n) are means of coordinates and of their squares over each batch, see
+        ``matching``.
+        """
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
             rows = self._advance(rows, matching.BATCH, look=not self.cells.unforced or k == batches - 1)
@@ -230,7 +234,10 @@ class MotionSearch:
         self.course.run()
 
     def _measure(self) -> None:
-        """Write the machine's own results for motions of a known class; without a force all are in units of time."""
+        """Write the results that only this system has, such as measures, of motions of a known class.
+
+        If there is no force, all results are converted to units of time.
+        """
         explain(self.cells, self.record.definition, self.params)
         measure(self.cells, self.record.definition, self.params)
         observe(self.cells, self.record.definition, self.params)
@@ -238,7 +245,7 @@ class MotionSearch:
             convert_to_time(self.cells, self.variables)
 
     def _refer(self) -> None:
-        """Continue the motions on unknown chaos or tori to collect their batches.
+        """Continue the motions on unknown chaos or tori to collect their statistics.
 
         A motion that comes to an orbit meanwhile belongs to the orbit.
         """

@@ -13,7 +13,7 @@ far."""
 
 
 class Recurrence:
-    """History of N motions: their energies at sections, and their impacts.
+    """History of N motions, which shows if they recur: energies at sections t = k T, and impacts.
 
     low, high    (N,) range of the energies seen so far
     hits, until  (N,) impacts and periods counted up to the last update
@@ -55,7 +55,7 @@ class Recurrence:
 
 
 def _energy_ranges(cells: CellBatch, rows: Rows) -> tuple[Array, Array]:
-    """Return the minimum and the maximum energy (rows,) at the last sections of these cells.
+    """Return the minimum and the maximum energy (rows,) of these cells at their last sections t = k T.
 
     Rigid modes count with their kinetic energy.
     """

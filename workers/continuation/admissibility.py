@@ -1,6 +1,7 @@
-"""Admissibility of orbits: each leg ends at its own event and at no other.
+"""Admissibility of orbits: each leg, the motion in one mode, ends at its own event and at no other.
 
-The certified crossings of the kernel decide it leg by leg, without sampling.
+The kernel finds the first event of each leg with certainty, without sampling. A mode is a set of linear equations; a
+signal is a number computed from the state, and an event occurs where a signal reaches an end of its range.
 """
 
 import math
@@ -60,10 +61,11 @@ class Graze(NamedTuple):
 
 
 def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = -1) -> AdmissibilityFault | None:
-    """Return the first fault, in time, of one orbit, the only row of a batch; None if the orbit is admissible.
+    """Return the first reason, in time, why an orbit is not admissible; None if it is admissible.
 
-    ``touches`` are grazes that are allowed: signals touch ends of their ranges there and turn back. The event ``lost``
-    has zero rate; if it is an impact it counts as a graze.
+    motion   the orbit, as the only row of a batch
+    touches  grazes that are allowed: signals touch ends of their ranges there and turn back
+    lost     index of an event whose rate is zero; if it is an impact it counts as a graze
     """
     rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
     period = 2.0 * math.pi / float(motion.lin.omega[0])
@@ -79,7 +81,7 @@ def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = 
 
 
 def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
-    """Return a grazing contact with its time moved into the turn that begins with the first event.
+    """Return a grazing contact with its time moved by whole turns into the turn that begins with the first event.
 
     For a symmetric orbit, whose turn is half of it, the contact may become its mirror image.
     """
@@ -91,7 +93,7 @@ def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
 
 
 def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
-    """Return the fault of friction that turns round but would stick; None if there is no such friction."""
+    """Return the fault of friction whose sliding changes sign but which would stick there; None if there is none."""
     for event, signal, _ in motion.plan.turning:
         low, high = (float(motion.holding_margin(event, signal, side)[0]) for side in (-1, 1))
         if low > 1e-9 * (low - high) and high < -1e-9 * (low - high):
@@ -100,7 +102,7 @@ def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
 
 
 def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
-    """Return the fault of a rest in place of chatter whose hops last too long; None if there is no such rest.
+    """Return the fault of a rest that stands for chatter whose hops would last too long; None if there is none.
 
     While the hops last, the load on the stop may change by the share HOPS of itself at most.
     """
@@ -119,7 +121,10 @@ def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
 
 
 def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
-    """Return the fault of leg k if a signal is beyond its range in its mode from the beginning; else None."""
+    """Return the fault of leg k if a signal is out of its range already where the leg begins; else None.
+
+    A leg is the motion in one mode, between two events; signals reach ends of their ranges at events.
+    """
     leg, mode = motion.plan.legs[k][0], motion.plan.table[k, MODE]
     signal, side = beyond_range(
         motion.pieces, 0, mode, np.array(leg.begun), motion.turn.states[0, k], _phase(motion, k), 1e-9
@@ -132,7 +137,7 @@ def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
 
 
 def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
-    """Return the phase of the force at the time ``later`` after the beginning of leg k."""
+    """Return the phase of the force at the time ``later`` after the beginning of leg k, the motion after some event."""
     machines = motion.lin
     return math.fmod(
         float(machines.tau[0]) + float(machines.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi
@@ -142,7 +147,12 @@ def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
 def _of_leg(
     motion: OrbitMotion, k: int, period: float, touches: Sequence[Graze], lost: int
 ) -> AdmissibilityFault | None:
-    """Return the first fault on leg k before the event at its end; None if there is no fault."""
+    """Return the first fault on leg k, the motion in one mode, before the event at its end; None without a fault.
+
+    period   forcing period
+    touches  grazes that are allowed
+    lost     index of an event whose rate is zero
+    """
     (leg, _), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
     tolerance = AT_ONCE * period
     if end - begin <= 1e-9 * period:
@@ -175,10 +185,10 @@ def _of_leg(
 
 
 def _events_at_end(motion: OrbitMotion, k: int, tolerance: float) -> set[tuple[int, int]]:
-    """Return the signals and ends of the event at the end of leg k, and of all that follow at once.
+    """Return (signal, side) of the event at the end of leg k, and of the events that follow it within ``tolerance``.
 
-    Rounding decides the order of these events. The result is empty if the phase changes, or if the turn ends without
-    events.
+    Rounding decides the order of these events. The set is empty if the leg, the motion in one mode, ends where the
+    phase changes, or with a turn without events.
     """
     legs, (lengths,) = motion.plan.legs, motion.ends - motion.begins
     if legs[k][1] == NO_EVENT and not (k + 1 == len(legs) and motion.itinerary.sides):
@@ -202,7 +212,7 @@ def _near(motion: OrbitMotion, touch: Graze, time: float, period: float) -> bool
 
 
 def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
-    """Return True if a signal comes nearer to its end before a graze, and leaves the end after it."""
+    """Return True if a signal comes nearer to its end before a graze, and moves away from this end after the graze."""
     times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
     _, (_, rates, _, _) = motion.states_at(times, touch.signal)
     return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
@@ -221,7 +231,7 @@ def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
 
 
 def name_of_touch(motion: OrbitMotion, touch: Graze) -> str:
-    """Return the name of the event at which a signal touches an end of its range."""
+    """Return the kind of the event at which a signal, a number computed from the state, touches an end of its range."""
     k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
     code = motion.plan.legs[max(k, 0)][0].code
     contact, friction = touch.signal // SIGNALS, touch.signal - SIGNALS * len(code.contacts)

@@ -1,11 +1,12 @@
 """Continuation of branches and curves past events at which the itinerary changes but the motion does not jump.
 
-The orbit of the event solves its equations on both sides of the event, but is admissible on one side only. On the other
-side, the motion from its section state passes the events of the orbit that replaces it, at times that are right to
-first order. Newton's method refines that orbit, with the conditions of the curve if there are any. Its parameters are
-those at which the times of its events differ this much from the times at the event. The orbit is sought on either side
-of the event, since a contact that is released by its force may turn a branch back. Near the graze of a soft contact the
-multipliers change with the square root of the depth, so a curve turns into the curve of grazes there.
+The itinerary is the sequence of an orbit's events. The orbit of the event solves its equations on both sides of the
+event, but is admissible on one side only. On the other side, the motion from its section state passes the events of the
+orbit that replaces it, at times that are right to first order. Newton's method refines that orbit, with the conditions
+of the curve if there are any. Its parameters are those at which the times of its events differ this much from the times
+at the event. The orbit is sought on either side of the event, since a contact that is released by its force may turn a
+branch back. Near the graze of a soft contact the multipliers change with the square root of the depth, so a curve turns
+into the curve of grazes there.
 """
 
 from collections.abc import Iterator
@@ -97,11 +98,13 @@ def asks_multipliers(equations: ExtendedSystem) -> bool:
 
 
 def is_smooth(machine: HybridMachines, event: Event) -> bool:
-    """Return True if multipliers are continuous through a change of itinerary of one machine.
+    """Return True if multipliers are continuous where the sequence of an orbit's events changes.
+
+    ``machine`` is the only row of a batch.
 
     They jump where friction begins to stick at zero rate. At the graze of a contact they are continuous only if the
-    contact is soft and has no preload. They also jump at a damped contact that is released by its force. Its damper,
-    with S = I - c M^-1 r r, acts when the contact begins and not when it ends.
+    contact is soft and has no preload. They also jump at a damped contact that is released by its force. The damper of
+    this contact, with S = I - c M^-1 r r, acts when the contact begins and not when it ends.
     """
     if event.last not in OF_CONTACTS:
         return event.last != GRAZING_SLIDING
@@ -156,7 +159,11 @@ def _beside_branch(equations: ExtendedSystem, event: Event) -> Iterator[_NearbyO
 
 
 def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Iterator[_NearbyOrbit]:
-    """Yield orbits on the curve of an event's change, with each step across that curve."""
+    """Yield nearby orbits from which to look for a curve beyond an event.
+
+    Each is an orbit on the curve of the event's change, with a step in the parameters across that curve, to either
+    side.
+    """
     values, orbit, contacts, *_ = event.point
     change = ExtendedSystem(equations.family, orbit, event.conditions[-1:], values, equations.width)
     X = change.pack(orbit, contacts[len(contacts) - change.grazes :], values)
@@ -198,7 +205,11 @@ def _at_depth(equations: ExtendedSystem, event: Event, nearby: _NearbyOrbit, bou
 
 
 def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit: Orbit, values: Array) -> float:
-    """Return the distance of the multipliers of an orbit from a condition on them; NaN if a multiplier is infinite."""
+    """Return how far the multipliers of an orbit are from a condition on them; NaN if a multiplier is infinite.
+
+    kappa   cosine of the angle of the pair, if the condition is on a pair
+    values  (free,) parameters of the orbit
+    """
     of_turn = multipliers(motion_of(equations.model(values), many_orbits([orbit])))
     if not np.all(np.isfinite(of_turn)):
         return np.nan
@@ -210,7 +221,8 @@ def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit
 def _recorded(family: Family, nearby: _NearbyOrbit, share: float, bounds: Array) -> Orbit | None:
     """Return the orbit recorded along the motion from the section state of a nearby orbit, at a ``share`` of its step.
 
-    Return None if the parameters are out of bounds, the motion cannot be followed, or the symmetry is another one.
+    Return None if the parameters are out of bounds, the motion cannot be followed, or the orbit and the nearby orbit
+    differ in symmetry.
     """
     orbit, origin = nearby.orbit, nearby.values
     values = origin + share * nearby.away

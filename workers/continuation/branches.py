@@ -205,7 +205,7 @@ def follow_both_ways(
 
 
 class _StepOutcome(NamedTuple):
-    """The result of a step.
+    """The result of one step along a branch or curve.
 
     end     how the direction ends; empty if it continues
     events  events on the step
@@ -297,7 +297,7 @@ def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _ContinuedWal
 
 
 def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Until | None) -> _StepOutcome | None:
-    """Take the next step and return its result.
+    """Take the next step along a branch or curve, and return its result.
 
     Return None if the step went too far, or slid onto another orbit, and can be repeated with a shorter length.
     """
@@ -329,7 +329,7 @@ def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Unt
 
 
 def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcome | None:
-    """Return the outcome of a step, if its events explain the change of stability from its start to its end.
+    """Return the outcome of a step if its events explain how the number of unstable multipliers changes on it.
 
     Return None if the events do not account for all changes of stability. Two multipliers of one pair that change
     together need not change a sign.
@@ -356,9 +356,9 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
 
 
 def _corner(step: ContinuationStep) -> _StepOutcome:
-    """Return the outcome of a step on which a branch ends.
+    """Return the outcome of a step, along which no further step converges, on which a branch ends.
 
-    An event of the orbit is lost there; if none is found, the end is STALLED.
+    An event of the orbit is lost there; if no such event is found, the end is STALLED.
     """
     met = nearly_lost(step)
     return _StepOutcome(STALLED) if met is None else _StepOutcome(met.event.kind, (met.event,), (met.event.point,))

@@ -1,6 +1,6 @@
 """Orbits with one event fewer, after that event has been lost along a branch.
 
-A leg is the motion in one mode between two events; its signals are the distances that decide events.
+A leg is the motion in one mode between two events. Signals are numbers computed from the state that decide events.
 """
 
 import math
@@ -52,12 +52,15 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
 
 
 def _before(orbit: Orbit, event: int) -> tuple[Leg, ...]:
-    """Return the legs that end at an event."""
+    """Return the legs, parts of the motion in one mode each, from the event before ``event`` to ``event``."""
     return orbit.itinerary.legs[event - 1] if event else orbit.itinerary.legs_after(0, orbit.itinerary.sign)[-1]
 
 
 def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
-    """Return the orbit without some events; ``before`` are the legs that end at the first of these."""
+    """Return the orbit without the events in the slice ``lost``.
+
+    ``before`` are the legs, parts of the motion in one mode each, that end at the first of these events.
+    """
     sides, periods, symmetric, legs = orbit.itinerary
     remaining = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
     chain = before + legs[lost][-1][1:]

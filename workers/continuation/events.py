@@ -144,9 +144,9 @@ def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
 
 
 def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
-    """Return why the orbit at unknowns X (N,) is not admissible; None if it is.
+    """Return why the orbit at unknowns X (N,) is not admissible; None if it is admissible.
 
-    Its own grazes and lost impacts are allowed.
+    The grazes and the lost impact that the conditions of ``equations`` demand are allowed.
     """
     if not equations.family.certified:
         return None
@@ -155,7 +155,7 @@ def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
 
 
 def touches(equations: ExtendedSystem, X: Array) -> list[Graze]:
-    """Return the grazes of a solution X (N,)."""
+    """Return the grazing contacts of a solution X (N,) that are conditions of its equations."""
     grazes = (condition for condition in equations.conditions if condition.kind == GRAZE)
     return [Graze(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), grazes, strict=True)]
 
@@ -237,8 +237,8 @@ def locate_event(
 ) -> LocatedEvent | None:
     """Return the event at which the test function ``name`` changed its sign.
 
-    Return None at a pole, and at a real pair of product 1. With ``exists`` the orbit of the event must be admissible,
-    since orbits cease on the step.
+    Return None if no event lies there: at a pole of the function, and at a real pair of multipliers of product 1. With
+    ``exists`` the orbit of the event must be admissible, since orbits cease on the step.
     """
     a, b = before.functions[name], after.functions[name]
     low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
@@ -273,10 +273,10 @@ def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
 
 
 def halves_met(step: ContinuationStep) -> Itinerary | None:
-    """Return the itinerary, the sequence of events, of an orbit of half the length that a step passes.
+    """Return the itinerary of an orbit of half the length that a step passes; None if there is no such orbit.
 
-    Both halves of the turn exchange their roles there. If no step converged, so that both ends of the step are equal,
-    return the itinerary of the nearest such orbit. Return None if there is no such orbit.
+    An itinerary is the sequence of an orbit's events. Both halves of the turn exchange their roles there. If no step
+    converged, so that both ends of the step are equal, return the itinerary of the nearest such orbit.
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:

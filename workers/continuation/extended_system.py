@@ -35,7 +35,8 @@ FOLLOWS = 4.0
 from which the state follows."""
 
 REMEMBERED = 8
-"""Maximum number of machines, and of motions, in the cache: several properties of one point are computed in turn."""
+"""Maximum number of machines, and of motions, that an extended system caches: several properties of one solution point
+are computed in turn."""
 
 SAME_EVENT = 1e-2
 """Share of a turn within which an event of an orbit is identified with an event of another orbit with additional
@@ -204,9 +205,10 @@ class ExtendedSystem:
         return base, J[None]
 
     def rebordered(self, X: Array) -> "ExtendedSystem":
-        """Return the same equations, bordered with null vectors at X (N,) in the directions of the former ones.
+        """Return these equations with new borders: null vectors at X (N,), in the directions of the former ones.
 
-        The sum of the pair of a condition PAIR is taken at X, too.
+        Borders make the singular matrix of a condition on a multiplier regular. The sum of the pair of a condition PAIR
+        is taken at X, too.
         """
         renewed, motion = copy(self), self.motion(X)
         renewed.borders, renewed.totals = list(self.borders), list(self.totals)
@@ -221,7 +223,7 @@ class ExtendedSystem:
         return renewed
 
     def _all(self, X: Array, motion: OrbitMotion) -> Array:
-        """Return all equations (B, equations) at unknowns (B, N), whose motions are given."""
+        """Return the residuals (B, equations) of all equations at unknowns (B, N), whose motions are given."""
         contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
@@ -241,11 +243,12 @@ class ExtendedSystem:
         return np.concatenate(parts, axis=1)
 
     def _bordered_matrix(self, condition: Condition, motion: OrbitMotion) -> Array:
-        """Return the matrix of a condition on a multiplier, in units of the unknowns, to be bordered.
+        """Return the matrix (B, M, M) that is singular if a multiplier is z = 1 or -1, in units of the unknowns.
 
-        If all events are impacts, the matrix is J_z, which has no poles where an impact has zero speed. Otherwise it is
-        DP - z: J_z is nearly singular for any multipliers if a soft contact is hardly touched, and DP is not. The
-        matrix of a cycle is always J_z, since DP of a cycle always has the multiplier 1 and J_1 does not.
+        If all events are impacts, the matrix is J_z, see ``OrbitMotion.linearised``, which has no poles where an impact
+        has zero speed. Otherwise it is DP - z, with DP the map of a turn. J_z is nearly singular for any multipliers if
+        a soft contact is hardly touched, and DP is not. The matrix of a cycle is always J_z, since DP of a cycle always
+        has the multiplier 1 and J_1 does not.
         """
         z = 1.0 if condition.kind == UNIT else -1.0
         if motion.plan.impacts or motion.itinerary.is_cycle:
@@ -254,14 +257,14 @@ class ExtendedSystem:
         return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
 
     def critical(self, X: Array) -> Array:
-        """Return the direction (states,) of a disturbance whose multiplier is that of the first condition.
+        """Return the direction (states,) of the disturbance whose multiplier the first condition fixes.
 
-        The disturbance, one of state and times at unknowns X (N,), is in units of the scale.
+        It is a disturbance of state and times at unknowns X (N,), in units of the scale.
         """
         return self._of_unknowns(self.motion(X), self.rebordered(X).borders[0][1][None])[0]
 
     def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
-        """Return the direction (B, states) of a null vector of ``_bordered_matrix``, in units of the scale."""
+        """Return null vectors of ``_bordered_matrix`` as directions (B, states) of state and times, in scale units."""
         if motion.plan.impacts or motion.itinerary.is_cycle:
             return along
         size = self.scale[: motion.start.shape[1]]
@@ -269,9 +272,10 @@ class ExtendedSystem:
         return np.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
     def _solved(self, i: int, motion: OrbitMotion) -> Array:
-        """Return (w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1).
+        """Return the solutions (w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1), the bordered matrix.
 
-        g vanishes where J_z is singular, along w.
+        J_z is the matrix of condition i, see ``_bordered_matrix``. It is singular where g vanishes, with the null
+        vector w.
         """
         J = self._bordered_matrix(self.conditions[i], motion)
         size = J.shape[1]

@@ -17,7 +17,10 @@ HIT, MOVES, SLIDES, STICKS = range(4)
 
 
 def mirror_sign(signal: int, contacts: int) -> int:
-    """Return the factor of a signal under mirroring: -1, but 1 for the pushes of soft contacts."""
+    """Return the factor of a signal under mirroring: -1, but 1 for the pushing forces of soft contacts.
+
+    A signal is a number computed from the state. ``contacts`` is the number of contacts.
+    """
     return 1 if signal in range(1, SIGNALS * contacts, SIGNALS) else -1
 
 
@@ -37,16 +40,16 @@ class Leg(NamedTuple):
 
     @property
     def mirrored(self) -> "Leg":
-        """The leg of the mirror image, see ``mirror_sign``."""
+        """The leg, the motion in one mode, of the mirror image, see ``mirror_sign``."""
         phase, contacts, slips = self.code
         code = ModeCode(phase, tuple(-number for number in contacts), tuple(-number for number in slips))
         begun = tuple(mirror_sign(g, len(contacts)) * number for g, number in enumerate(self.begun))
         return Leg(code, begun, self.signal, mirror_sign(self.signal, len(contacts)) * self.side)
 
     def label(self, before: ModeCode) -> int:
-        """Return the event as a number, which has the other sign in the mirror image.
+        """Return the label of the event at which the leg begins, a number with the opposite sign in the mirror image.
 
-        It is +-1 if the first contact is reached. ``before`` is the mode before the event.
+        The label is +-1 if the first contact is reached. ``before`` is the mode before the event.
         """
         contact, friction = self.signal // SIGNALS, self.signal - SIGNALS * len(before.contacts)
         if friction >= 0:
@@ -62,7 +65,7 @@ class Itinerary(NamedTuple):
     sides      (m,) labels of the events of a turn, see Leg.label: +1 for an impact at the upper stop, -1 at the lower
     periods    forcing periods of the whole orbit; 0 for a cycle without a force, whose length is its own
     symmetric  True if a turn is half the orbit
-    legs       legs from each event to the next one; without events, the legs of the turn
+    legs       legs, motions in one mode each, from each event to the next one; without events, those of the turn
 
     ``legs`` is empty if all legs are flights from impact to impact with a lone rigid contact, see ``chains``.
     """
@@ -79,14 +82,14 @@ class Itinerary(NamedTuple):
 
     @property
     def chains(self) -> tuple[tuple[Leg, ...], ...]:
-        """The legs from each event to the next one, also if ``legs`` is empty."""
+        """The legs, motions in one mode each, from each event to the next one, also if ``legs`` is empty."""
         if self.legs:
             return self.legs
         return tuple((Leg(FLYING, (side, 0), 0, side),) for side in self.sides) or ((Leg(FLYING, (0, 0), -1, 0),),)
 
     @property
     def bare(self) -> "Itinerary":
-        """The same itinerary, with empty ``legs`` if ``chains`` can restore them."""
+        """The same itinerary, with empty ``legs`` if all are flights between impacts, which ``chains`` restores."""
         other = self._replace(legs=())
         return other if other.chains == self.legs else self
 
@@ -97,7 +100,10 @@ class Itinerary(NamedTuple):
 
     @property
     def turn(self) -> float:
-        """Length of a turn in periods of the machine; a whole cycle takes one of these."""
+        """Length of a turn in periods of the machine.
+
+        A limit cycle has a period of its own, and takes 1, or 0.5 if symmetric.
+        """
         return (0.5 if self.symmetric else 1.0) * (self.periods or 1)
 
     def span(self, machines: OrbitMachines) -> Array:
@@ -114,12 +120,12 @@ class Itinerary(NamedTuple):
         return min(Counter((leg.signal, leg.side, leg.code) for leg, *_ in full.chains).values())
 
     def impacts(self, side: int) -> int:
-        """Return how often a stop on this side is reached in the whole orbit."""
+        """Return how often a stop on this side, +1 for upper and -1 for lower stops, is reached in the whole orbit."""
         hits = [label for label in self.sides if (abs(label) - 1) % 4 == HIT]
         return len(hits) if self.symmetric else sum(label * side > 0 for label in hits)
 
     def legs_after(self, first: int, sign: int) -> tuple[tuple[Leg, ...], ...]:
-        """Return the legs from event ``first`` on; for sign -1 their mirror images."""
+        """Return the legs, motions in one mode each, from event ``first`` on; for sign -1 their mirror images."""
         later_legs = self.legs[first:]
         return later_legs if sign > 0 else tuple(tuple(leg.mirrored for leg in legs) for legs in later_legs)
 
@@ -131,9 +137,9 @@ class Itinerary(NamedTuple):
         return Itinerary(sides, self.periods if self.symmetric else 2 * self.periods, legs=legs)
 
     def repeats(self, k: int, sign: int) -> bool:
-        """Return True if each event, and what follows it, equals the k-th event before.
+        """Return True if each event, with the motion after it, is like the event k places before.
 
-        For sign -1 it equals the mirror image of that event.
+        For sign -1 it is like the mirror image of that event.
         """
         later, before = (self.sides[k:], self.sides[: len(self.sides) - k])
         same = all(a == sign * b for a, b in zip(later, before, strict=True))
@@ -159,7 +165,7 @@ class Orbit(NamedTuple):
     length: Array = np.array(np.nan)
 
     def at_rows(self, rows: Any) -> "Orbit":
-        """Return these rows of a batch, in their order; for a number, that one orbit."""
+        """Return the orbits at these rows of a batch, in their order; for a single number, one orbit."""
         fields = self.times, self.speeds, np.broadcast_to(self.length, self.times.shape[:1])
         return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in fields))
 

@@ -1,4 +1,4 @@
-"""Newton's method on a stack of N problems of one kind; a single problem is N = 1."""
+"""Newton's method for N systems of equations of one kind at once; a single system is N = 1."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

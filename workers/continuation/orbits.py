@@ -60,7 +60,7 @@ def many_of(orbits: list[Orbit], values: Array) -> OrbitBatch:
 
 
 def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatch:
-    """Return the orbits near these at other parameters (N, free), by Newton's method on each.
+    """Return the orbits near those of ``orbits`` at other parameters ``values`` (N, free), by Newton's method on each.
 
     Newton's method starts from impacts at the same phases. It fails if steps do not shrink or are long, since the orbit
     found would hardly be the same one.
@@ -161,7 +161,7 @@ def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> 
 def section_states(
     system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0, known: bool = False
 ) -> Array:
-    """Return the physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T of a turn.
+    """Return the physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T.
 
     system  mechanical system
     values  parameters (N,) by name; the others have their defaults
@@ -204,7 +204,10 @@ def comparison_states(machines: OrbitMachines, many: Orbit, shift: float = 0.0) 
 
 
 def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -> Array:
-    """Return the states just after some events of a whole cycle, its second half included if the cycle is symmetric."""
+    """Return physical states (N, K, 2d) of cycles just after the events with indices ``events`` (K,).
+
+    The events of a symmetric cycle's second half follow those of the first half.
+    """
     motion, m = motion_of(machines, many), len(many.itinerary.sides)
     legs = 1 + np.searchsorted(np.cumsum(motion.plan.table[:, EVENT] != NO_EVENT), np.arange(1, m + 1))
     after = motion.turn.states[:, legs]
@@ -212,9 +215,9 @@ def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -
 
 
 def _rarest(machines: OrbitMachines, itinerary: Itinerary, mirrored: bool) -> list[int]:
-    """Return the indices of those events of a cycle that are its sections, see ``states_at_sections``.
+    """Return the indices of the events of a cycle that take the place of sections, see ``states_at_sections``.
 
-    With ``mirrored`` they are the sections of its mirror image.
+    With ``mirrored`` they are those of its mirror image.
     """
     chains = (itinerary.twice if itinerary.symmetric else itinerary).chains
     legs = [leg.mirrored if mirrored else leg for leg, *_ in chains]

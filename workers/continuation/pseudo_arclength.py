@@ -77,7 +77,7 @@ class PseudoArclength:
         self.length = 0.5 * length
 
     def closes(self) -> Array | None:
-        """Return the start as unknowns (N,) of these equations if the last step passed it; None if it did not.
+        """Return the start as unknowns (N,) of the present equations if the last step passed it; None if it did not.
 
         The same orbit may have events that are whole periods later by now, or may begin with another one of its events.
         """

@@ -48,13 +48,14 @@ NO_RATE = 1e-9
 """Rate of a signal, as a share of its size over one radian, that counts as 0."""
 
 PLANS = 256
-"""Maximum number of plans in the cache. Itineraries are few, since all points of a branch share one."""
+"""Maximum number of plans of turns, see ``TurnPlan``, in the cache. Itineraries are few, since all points of a branch
+share one."""
 
 
 class TurnPlan(NamedTuple):
     """The properties of a turn that its itinerary alone determines.
 
-    legs     legs, each with the event at its end, NO_EVENT if there is no event; the leg before event 0 has no length
+    legs     legs, motions in one mode, each with the event at its end or NO_EVENT; the one before event 0 has no length
     turning  events at which friction turns round, each with its signal and the mode in which the friction would stick
     codes    modes of the legs, and those in which friction that turns round would stick
     table    (L, PLAN) legs as ``turns_of_modes`` takes them
@@ -75,13 +76,16 @@ class TurnPlan(NamedTuple):
 
 
 def plan_of(machines: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
-    """Return the plan of an itinerary of machines."""
+    """Return the legs and events of one turn of orbits with this itinerary, a sequence of events, for ``machines``."""
     return _plan_of(itinerary, tuple(machines.elements.soft[0].tolist()))
 
 
 @lru_cache(PLANS)
 def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> TurnPlan:
-    """Return the plan of an itinerary of machines. ``soft`` is 1 for each of their contacts that is soft, else 0."""
+    """Return the legs and events of one turn of orbits with this itinerary, see ``plan_of``.
+
+    ``soft`` is 1 for each contact of the machines that is soft, else 0.
+    """
     m, chains = len(itinerary.sides), itinerary.chains
     legs = [(leg, NO_EVENT) for leg in chains[0]]
     if m:
@@ -121,7 +125,8 @@ def _act(before: ModeCode, after: Leg, soft: tuple[float, ...]) -> int:
 class TurnResult(NamedTuple):
     """The result of ``legs.turns_of_modes`` for N orbits; the fields are explained there.
 
-    ``maps`` are DP, products of flows and saltations; for symmetric orbits D_G = -DP of half, whose square is DP.
+    ``maps`` are the Jacobians DP of a turn, products of flows and saltation matrices. A turn of a symmetric orbit is
+    half of it, and the map is -DP of this half, whose square is the map of the whole orbit.
     """
 
     signals: Array
@@ -160,7 +165,7 @@ class OrbitMotion:
 
     @cached_property
     def plan(self) -> TurnPlan:
-        """The legs and events of a turn."""
+        """The legs, motions in one mode each, and events of a turn."""
         return plan_of(self.lin, self.itinerary)
 
     @property
@@ -171,7 +176,7 @@ class OrbitMotion:
 
     @cached_property
     def pieces(self) -> HybridModes:
-        """The modes of the orbit, along an axis after the first."""
+        """The modes of the orbit, sets of linear equations between events, along an axis after the first."""
         modes = [self.lin.mode(code) for code in self.plan.codes]
         if len(modes) == 1:
             return HybridModes(*(field[:, None] for field in modes[0]))
@@ -179,7 +184,7 @@ class OrbitMotion:
 
     @cached_property
     def ends(self) -> Array:
-        """Time (N, L) at which each leg ends."""
+        """Time (N, L) at which each leg, the motion in one mode, ends."""
         table, starts, period = self.plan.table, self.lin.elements.starts, 2.0 * math.pi / self.lin.omega
         times, events = np.empty((len(self.start), len(table))), table[:, EVENT] != NO_EVENT
         times[:, events] = self.times
@@ -196,7 +201,7 @@ class OrbitMotion:
 
     @cached_property
     def begins(self) -> Array:
-        """Time (N, L) at which each leg begins."""
+        """Time (N, L) at which each leg, the motion in one mode, begins."""
         first = self.times[:, :1] if self.itinerary.sides else np.zeros((len(self.start), 1))
         return np.concatenate([first, self.ends[:, :-1]], axis=1)
 
@@ -219,7 +224,7 @@ class OrbitMotion:
 
     @property
     def _least(self) -> Array:
-        """Rates (N, m) of signals of events that count as 0: the guard changes by its size in 1 / NO_RATE radians.
+        """Rates (N, m) up to which signals of events count as constant: a change by their size in 1 / NO_RATE radians.
 
         Friction that begins to stick at such a rate has f+ = R f-. Other events do not need these rates.
         """
@@ -234,7 +239,7 @@ class OrbitMotion:
 
     @property
     def _rows(self) -> Array:
-        """Moduli (N, m, 2n) of the weights of states in the signals of events."""
+        """Moduli (N, m, 2n) of the weights of states in the signals that reach ends of their ranges at events."""
         modes, signals = self.plan.reached[:, MODE], self.plan.reached[:, SIGNAL]
         return np.abs(self.pieces.rows[:, modes, signals, : self.start.shape[1]])
 
@@ -267,9 +272,10 @@ class OrbitMotion:
         return jacobian
 
     def states_at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
-        """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of a signal.
+        """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of a signal then.
 
-        An event at such a time counts as past.
+        A signal is a number computed from the state, which has a range with two ends. An event at such a time counts as
+        past.
         """
         machines, sign = self.lin, float(self.itinerary.sign)
         mirror = 1.0 if sign > 0.0 else float(mirror_sign(signal, machines.elements.soft.shape[1]))
@@ -287,12 +293,19 @@ class OrbitMotion:
         return states, signals
 
     def distance_to_end(self, signal: int, side: int, s: Array) -> list[Array]:
-        """Return the distance (N, K) of a signal from an end at times s (N, K), and its rate."""
+        """Return the distance (N, K) of a signal from an end of its range at times s (N, K), and its rate (N, K).
+
+        ``side`` is +1 for the upper and -1 for the lower end.
+        """
         _, (value, rate, low, high) = self.states_at(s, signal)
         return [value - (high if side > 0 else low), rate]
 
     def holding_margin(self, event: int, signal: int, side: int) -> Array:
-        """Return the distance (N,) of the force that holds friction just after an event from an end of its range.
+        """Return the distance (N,) of a signal just after an event, such as a holding force, from an end of its range.
+
+        event   index of the event
+        signal  number of the signal; that of friction is the force that holds it
+        side    +1 for the upper and -1 for the lower end
 
         If the friction does not stick there, the force is the one that would hold it.
         """
@@ -307,9 +320,10 @@ class OrbitMotion:
         return np.asarray(value - mode.ends[:, signal, 1 if side > 0 else 0])
 
     def unknowns_along(self, change: Array) -> Array:
-        """Return the change of the unknowns (N, 2n + m) with the state (N, 2n) at the time of the first event.
+        """Return the change (N, 2n + m) of the unknowns that goes with a ``change`` (N, 2n) of the state.
 
-        The state just before the event moves by f- with the event's time.
+        The state is changed at the time of the first event. The state just before the event moves by f- with the
+        event's time.
         """
         size, turn = change.shape[1], self.turn
         before, tangents = -turn.shifts[:, :size, size : size + 1], turn.tangents[:, size:]

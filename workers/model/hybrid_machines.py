@@ -1,4 +1,4 @@
-"""Hybrid machines as numbers: contacts, friction and phases at given parameters."""
+"""Hybrid machines as arrays of numbers: matrices, force, contacts, friction and phases at given parameters."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -98,7 +98,10 @@ class HybridMachines(NamedTuple):
 
     @property
     def signals(self) -> Rows:
-        """Numbers (U,) of the signals that end a mode of any machine, see ``hybrid_modes.SIGNALS``; at least one."""
+        """Numbers (U,) of the signals, displacements or forces, that end a mode of any machine; at least one.
+
+        The numbers of a contact's signals are explained at ``hybrid_modes.SIGNALS``.
+        """
         F = self.sizes[2]
         ends = np.stack([np.isfinite(self.stops).any(axis=(0, 2)), self.by_force.any(axis=0)], axis=1)  # (C, 2)
         numbers = np.flatnonzero(np.concatenate([ends.ravel(), np.ones(F, dtype=np.bool_)]))
@@ -127,7 +130,7 @@ def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array)
 
 @np.errstate(all="ignore")
 def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
-    """Return the reason against each of N machines that its numbers alone show, NO_REASON if there is none.
+    """Return the code (N,) of why a machine is invalid, as far as its numbers alone show; NO_REASON if it is valid.
 
     Lower stops must be below upper ones, and 0 <= R <= 1. Stiffness, damping and preload of a contact, and the slope of
     its law, must not be negative. Segments must be in order, 0 <= kinetic <= static, and starts must rise from 0 and
@@ -212,7 +215,7 @@ def is_undriven(machines: HybridMachines) -> Mask:
 
 
 def _has_energy(machines: HybridMachines) -> Mask:
-    """Return the mask (N,) of machines whose M and K are symmetric in all phases."""
+    """Return the mask (N,) of machines with an energy: M symmetric and positive definite, K symmetric in all phases."""
     return definite(machines.mass) & np.all(machines.stiffness == machines.stiffness.swapaxes(-1, -2), axis=(1, 2, 3))
 
 
@@ -295,7 +298,7 @@ def definite(mass: Array) -> Mask:
 
 
 def _yield_along(machines: HybridMachines) -> Mask:
-    """Return ``yields``, computed by the principal minors."""
+    """Return the mask ``yields`` (N,), computed by the principal minors of G M^-1 G'."""
     closed = held_rows(machines)
     inverse = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
     singles = np.concatenate([machines.row, machines.friction_rows], axis=1)
@@ -326,5 +329,5 @@ def _singular_values(rows: Array) -> Array:
 
 
 def _any(wrong: Mask) -> Mask:
-    """Return the mask (N,) of machines with any true entry."""
+    """Return the mask (N,) of machines for which any entry of ``wrong`` (N, ...) is True."""
     return np.asarray(np.any(wrong, axis=tuple(range(1, wrong.ndim))))

@@ -15,7 +15,10 @@ transformation relative to its eigenvalues.
 
 
 def condition_of(planes: Array) -> float:
-    """Return the condition of the rows, scaled to length 1: how nearly planes with these rows coincide."""
+    """Return the condition number of the rows of planes, scaled to length 1: it is large if planes nearly coincide.
+
+    It is infinite if a number is not finite.
+    """
     unit = planes / np.linalg.norm(planes, axis=1, keepdims=True)
     return float(np.linalg.cond(unit)) if np.isfinite(unit).all() else math.inf
 

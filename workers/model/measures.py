@@ -50,7 +50,7 @@ class OutputMeasure:
 
     @property
     def row(self) -> Row:
-        """The row of the output."""
+        """Weights of the coordinates in the output."""
         row: Row = getattr(self, self.kind)
         return row
 
@@ -59,7 +59,10 @@ Measures = tuple[tuple[str, OutputMeasure], ...]
 
 
 def read_measures(value: object, known: Collection[str], n: int) -> Measures:
-    """Return the measures in a table [system] of n coordinates, by their names."""
+    """Return pairs (name, measure) from the entry ``measures`` of a table [system] of n coordinates.
+
+    ``known`` are the names that expressions may use.
+    """
     tables = read_table("system.measures", value)
     if len(tables) > MEASURES:
         raise DefinitionError(f"system.measures: found {len(tables)}, must be at most {MEASURES}")
@@ -124,7 +127,7 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
 
 
 def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[tuple[str, Variable]]:
-    """Yield (entry, variable) for results that tell how far a law given as an expression was used.
+    """Yield (entry, variable) for results that tell how far the range of an expression's law was used.
 
     The variables begin with the names of the elements. The largest argument of a contact's law is its penetration.
     """

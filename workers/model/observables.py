@@ -24,7 +24,7 @@ SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS = KINDS = (
 OF_IMPACTS, OF_OUTPUTS = (IMPACT_PHASE, IMPACT_SPEED), (SECTION, MAXIMUM, MINIMUM)
 SIDES = {"upper": 1, "lower": -1}
 GAP = "gap"
-"""Name of the output that is the coordinate in pictures."""
+"""Name of the output that pictures show: the gap of the first contact, else the first coordinate."""
 
 WORDS = {
     SECTION: "{} at the section", MAXIMUM: "local maxima of {}", MINIMUM: "local minima of {}",
@@ -106,7 +106,7 @@ class Observable:
 
     @property
     def name(self) -> str:
-        """Text form of the observable."""
+        """Text form of the observable, which ``parse`` reads."""
         return ":".join(part for part in (self.kind, self.of, self._side) if part)
 
     @property
