@@ -1,14 +1,14 @@
 """Matching of motions to known attractors: exactly for orbits, by statistics otherwise.
 
-An orbit is given by its section state h*, its period p, and the Jacobian J of p periods there. A motion is matched to
-the orbit if two conditions hold. One of its section states lies near h*, and the part of its last turns that J does not
-explain is less than half of the contraction. An orbit itself is accepted by the same test, see ``orbit.attraction``, so
-no new proof is needed. Two proved orbits are compared on the section of one of the proofs, since both may impact at t =
-k T.
+An orbit is given by its state h* at a section t = k T, its period p, and the Jacobian J of p periods there. A motion is
+matched to the orbit if two conditions hold. One of its section states lies near h*, and the part of its last turns that
+J does not explain is less than half of the contraction. An orbit itself is accepted by the same test, see
+``orbit.attraction``, so no new proof is needed. Two proved orbits are compared on the section of one of the proofs,
+since both may impact at t = k T.
 
-Chaos and tori are given by batches of BATCH section states: the means of the 2n block coordinates and of their squares.
-Two motions differ if one of these 4n means differs by more than DIFFERENT standard errors, of the pooled variance of
-the batches.
+Chaos and tori are given by batches of BATCH section states: the means of the 2n coordinates (h, h') of the decoupled
+equations and of their squares. Two motions differ if one of these 4n means differs by more than DIFFERENT standard
+errors, of the pooled variance of the batches.
 """
 
 from collections.abc import Sequence
@@ -208,8 +208,8 @@ def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, 
 def is_same_attractor(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
     """Return True if an orbit, or with ``half`` its mirror image, equals a known orbit.
 
-    Orbits are compared on the section of the known proof. Cycles without a force are equal if they are the same set of
-    states, in any phase.
+    Orbits are compared at the instants t = (k + shift) T at which the known orbit was proved. Cycles without a force
+    are equal if they are the same set of states, in any phase.
     """
     if (old.regime, old.period) != (new.regime, new.period):
         return False

@@ -196,15 +196,15 @@ class MotionSearch:
         return False
 
     def _leaves(self, rows: Rows) -> Mask:
-        """Return the mask of motions in whose cells chaos or a torus is known."""
+        """Return the mask of motions to be compared with known chaos or tori: there is one in their cell."""
         self.to_compare[rows] = [len(self.known.references[c]) > 0 for c in self.owner[rows]]
         return self.to_compare[rows]
 
     def _advance(self, rows: Rows, periods: Rows | int, look: bool = True) -> Rows:
         """Advance these motions by some periods, and return the motions that can continue.
 
-        With ``look`` motions on an orbit end. Without a force, ``look`` simulates them event by event, which takes
-        longer than their periods.
+        With ``look``, motions that have reached an orbit end. Without a force, ``look`` simulates them event by event,
+        which takes longer than their periods.
         """
         cells, least = self.cells, self.cells.settings.max_periods
         cells.set_interval(rows, periods)

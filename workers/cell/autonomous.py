@@ -74,7 +74,10 @@ def course_of(cells: CellBatch, is_known: Property = none_of, must_leave: Proper
 
 
 def without_force(cells: CellBatch) -> Mask:
-    """Return the mask of machines with modes that have neither a force nor changes of phase."""
+    """Return the mask (N,) of cells whose machine has neither a force nor phases, parts of the period that differ.
+
+    The mask is False for machines that are solved by impacts on one rigid contact alone.
+    """
     if not cells.oscillators.has_modes:
         return np.zeros(len(cells.periods_used), dtype=np.bool_)
     machines = cells.oscillators.table.machines

@@ -55,15 +55,18 @@ def shears(previous: Array, now: Array, apart: Array) -> Mask:
 
 
 def periods_for(periods: Array, error: Array, target: Array | float) -> Array:
-    """Return the periods until an average with this error after these periods reaches the target error."""
+    """Return the number of periods after which the error of an average will have fallen to ``target``.
+
+    The error is ``error`` after ``periods`` periods, and falls with the square root of their number.
+    """
     return np.asarray(periods * np.minimum(error / target, FARTHEST) ** 2)
 
 
 def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
     """Return the current average of these cells; its number of periods is 0 while growth does not count yet.
 
-    An average without tangent vectors has only impacts. If all directions are lost, since a mass rests, the mean is
-    exact.
+    An average without tangent vectors has only counts of impacts. If all deviations have died out, since a mass rests
+    on a stop, the mean is -inf and exact.
     """
     motions, levels = cells.batch.motions, cells.batch.levels
     periods = levels[rows, 0, COUNT] if cells.vectors else cells.periods_flown[rows] - cells.began[rows]

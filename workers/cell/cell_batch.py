@@ -116,9 +116,9 @@ class CellCycle(NamedTuple):
 class CellBatch:
     """N cells in progress: their motions, the periods spent on them, their averages and their results.
 
-    Cells without a reason against their oscillator begin at physical section states ``starts`` (N, 2n). Cells without a
-    motion are written invalid at once. The argument ``mode`` (N,) has the modes of motions that continue from these
-    states; without it the state decides.
+    Cells with a valid oscillator begin at physical section states ``starts`` (N, 2n). Cells without a motion are
+    written invalid at once. The argument ``mode`` (N,) has the modes of motions that continue from these states;
+    without it the state decides.
 
     batch             motions, and the periods of the current interval
     bare              the same motions and periods without tangent vectors

@@ -106,14 +106,15 @@ def _first_at_one_time(events: Array, period: float) -> NDArray[np.int64]:
 
 
 def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, limit: int = 0) -> Iterator[EventTrail]:
-    """Yield trails of one motion, ever longer, until it cannot be followed or its work is spent.
+    """Yield the events of one motion as trails, ever longer, until it cannot be followed or costs too much.
 
     cells  the cells
     r      row of the motion
-    start  physical state and number of its mode at the start; None for the present state
+    start  physical state, and number of the mode (the linear equations) that holds there; None for the present state
     limit  maximum number of periods; 0 for as many as the motion has flown
 
-    There is a trail for each number of periods up to MIN_EXAMINED_PERIODS, and for ever fewer beyond.
+    The motion costs too much if its allowed evaluations are spent. There is a trail for each number of periods up to
+    MIN_EXAMINED_PERIODS, and for ever fewer beyond.
     """
     one = np.array([r])
     machine, size, motions = at_rows(cells.oscillators, one), cells.directions, cells.batch.motions

@@ -22,7 +22,7 @@ def free_exponents(oscillator: Oscillator) -> Array:
 def sum_of_exponents(oscillator: Oscillator, impacts_per_period: Array | float) -> Any:
     """Return the exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; (N,) for many.
 
-    The sum is NaN for impacts with R = 0, and for machines with modes.
+    The sum is NaN for impacts with R = 0, and for machines with other elements than one rigid contact.
     """
     if oscillator.has_modes:
         return np.full(np.shape(oscillator.period), np.nan)
@@ -57,7 +57,7 @@ def sum_law_holds(tally: Array) -> Any:
 
 
 def impact_count(tally: Array) -> Any:
-    """Return the impacts at both stops, from the counts (..., TALLIES) of motions."""
+    """Return the number of impacts at both stops together, from the counts (..., TALLIES) of motions."""
     return tally[..., UPPER] + tally[..., LOWER]
 
 

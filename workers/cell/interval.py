@@ -37,7 +37,8 @@ def begin(
     oscillators  N machines
     reasons      (N,) codes of why the machines are invalid, NO_REASON if they are valid
     states       (N, 2n) physical section states
-    mode         (N,) numbers of the modes of motions that continue from these states; None if the state decides
+    mode         (N,) numbers of the modes, sets of linear equations, of motions that continue from these states;
+                 None if the state decides
     vectors      number of tangent vectors
     record       maximum number of impacts to record
     """
@@ -79,7 +80,7 @@ def batch_of(oscillators: Any, motions: Motion, n_sections: int = 0) -> MotionBa
 
 
 def has_ended(batch: MotionBatch) -> Mask:
-    """Return the mask of cells with nothing left to do: their periods, their motion or their work have ended."""
+    """Return the mask of cells that are finished: their periods are over, their motion failed, or it cost too much."""
     tally = batch.motions.tally
     return (batch.completed >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
 
@@ -126,7 +127,7 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
 def run_periods(oscillator: Oscillator, motion: Motion, periods: int) -> int:
     """Simulate a motion for ``periods`` periods, in place.
 
-    Return the number of periods completed, which is smaller if the motion or its work ends.
+    Return the number of periods completed, which is smaller if the motion fails or its allowed evaluations are spent.
     """
     batch = batch_of(many_of(oscillator), map_fields(motion, lambda field: field[None]))
     batch.periods[0] = periods

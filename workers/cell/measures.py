@@ -139,7 +139,7 @@ def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> MeasurePlan:
-    """Return the measured quantities: measures, arguments of laws, and the range of the pictured coordinate."""
+    """Return the quantities to measure: measures, arguments of force laws, and the range of the pictured coordinate."""
     rows, orders, _ = definition.outputs(values)
     mode_machines: HybridMachines = machines.table.machines
     more = [*_arguments(definition, mode_machines), (machines.gap_row, 0.0)]
@@ -157,9 +157,12 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
 
 
 def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[Array, float]]:
-    """Return rows (N, n) and derivatives of the arguments of friction and springs in ``definition.fitted``.
+    """Return (row, order) of the argument of each friction law and each spring law that is an expression.
 
-    The depth of a contact is measured anyway.
+    row    (N, n) weights of the coordinates in the argument
+    order  1 if the weights act on velocities, as those of friction; else 0
+
+    The argument of a contact's law, its depth, is measured anyway.
     """
     first = len(definition.contacts)  # the rows of springs follow those of contacts
     frictions = [

@@ -265,7 +265,11 @@ def put_chaotic(cells: CellBatch, rows: Rows, reason: NDArray[np.int8] | int = r
 
 
 def put_quasiperiodic(cells: CellBatch, rows: Rows, weighted: Array, spread: Array) -> None:
-    """Write the results of tori, their largest exponent from weighted averages."""
+    """Write the results of cells on tori.
+
+    weighted  (K,) their largest exponent, a weighted average of the growth
+    spread    (K,) its error
+    """
     put_averaged(cells, rows)
     write_results(cells, rows, regime=results.QUASIPERIODIC, largest=weighted, error=spread)
     if "spectrum" in cells.results:

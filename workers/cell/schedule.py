@@ -152,7 +152,7 @@ class AdaptiveSchedule:
         self.cells.set_interval(ready[length > 0], length[length > 0])
 
     def judge(self, through: Rows) -> None:
-        """Decide each cell in ``through``, which has reached the end of its interval."""
+        """Decide how each cell in ``through`` goes on, since it has reached the end of its interval of periods."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
         stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_RETURN, NEAR_LATER)
@@ -231,7 +231,10 @@ class AdaptiveSchedule:
         self.observe(over[~leaves])
 
     def observe(self, rows: Rows) -> None:
-        """Warm up these cells after their transients, or watch them if no exponents are requested."""
+        """Begin to carry tangent vectors along with these cells, whose transients are over.
+
+        If no exponents are requested, the cells are watched without tangent vectors.
+        """
         cells = self.cells
         if cells.vectors:
             averages.restart(cells, rows)
@@ -260,10 +263,10 @@ class AdaptiveSchedule:
     # Averaging
 
     def averaging(self, rows: Rows) -> None:
-        """Judge the averaged growth of the tangent vectors of these cells.
+        """Decide how these cells go on by the averaged growth of their tangent vectors.
 
-        Clearly positive growth, known to half of the requested accuracy (in periods), is chaotic so far. Zero growth in
-        two intervals is a torus. With clearly negative growth a long orbit is sought.
+        Clearly positive growth, known to half of the requested accuracy (in periods), counts as chaotic so far. Zero
+        growth in two intervals is a torus. With clearly negative growth a long orbit is sought.
         """
         second = self.cells.previous_average.periods[rows] > 0.0
         self._judge_first(rows[~second])
@@ -284,7 +287,7 @@ class AdaptiveSchedule:
         self._close(rows[chaotic])
 
     def _judge_second(self, rows: Rows) -> None:
-        """Judge the second average of these cells.
+        """Decide how cells go on after a look at their second average: they are averaged further, or end.
 
         Both averages together must reach the requested accuracy unless they differ, and chaos must have survived. A
         positive exponent must be clearly positive.

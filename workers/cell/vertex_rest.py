@@ -165,12 +165,12 @@ def _rates(acceleration: Array) -> Array:
 
 
 def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
-    """Return the equilibrium to which the motion of a trail shrinks through ever the same events; None without one.
+    """Return the equilibrium to which a motion shrinks through ever the same events; None if there is none.
 
-    ``machine`` is a single machine in a batch. If each mode of a turn is at rest in one state, and each signal of an
-    event is at its end there, then the motion round it has no scale. A factor by which one turn multiplies the motion
-    then applies to every turn. Motion along itself grows by this factor, and so does the distance; the map of the turn
-    has the other multipliers.
+    ``machine`` is a single machine in a batch, ``trail`` the events of its motion. If each mode of a turn is at rest in
+    one state, and each signal of an event is at its end there, then the motion round it has no scale. A factor by which
+    one turn multiplies the motion then applies to every turn. Motion along itself grows by this factor, and so does the
+    distance; the map of the turn has the other multipliers.
     """
     last, size = len(trail.keys) - 1, trail.states.shape[1]
     again = last - np.flatnonzero(trail.keys[:-1] == trail.keys[-1:])[::-1]
@@ -207,7 +207,11 @@ def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
 
 
 def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -> Array:
-    """Return the largest distance (2n,) from ``rest`` of the states at which legs begin, by component."""
+    """Return the size (2n,) of a turn's states about ``rest``, equal for all displacements and for all velocities.
+
+    It is the largest distance at the starts of ``legs``, motions in one mode each. ``length`` is the duration of the
+    turn, and ``size`` the number of components of a state.
+    """
     x, v = np.split(np.max(np.abs(legs[:, LEG_STATE : LEG_STATE + size] - rest), axis=0), 2)
     omega = 2.0 * np.pi / float(length)
     far = max(x.max(), v.max() / omega)

@@ -42,7 +42,8 @@ class AdmissibilityFault(NamedTuple):
     side    end of its range that the signal reaches
     signal  signal that reaches it
 
-    Events of any kind count as impacts, and any signal at an end of its range as a contact.
+    An orbit is admissible if each motion between two of its events ends at its own event and at no other. Events of any
+    kind count as impacts, and any signal at an end of its range as a contact.
     """
 
     reason: str
@@ -53,7 +54,10 @@ class AdmissibilityFault(NamedTuple):
 
 
 class Graze(NamedTuple):
-    """A grazing contact: its time, the signal, and the end of its range that the signal touches at zero rate."""
+    """A grazing contact: its time, the signal, and the end of its range that the signal touches at zero rate.
+
+    A signal is a number computed from the state, such as the displacement at a contact.
+    """
 
     time: float
     signal: int
@@ -219,9 +223,10 @@ def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
 
 
 def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
-    """Return the approximate time at which a signal beyond the end of its range turns back; None if not on this leg.
+    """Return about when a signal that is beyond the end of its range turns back; None if it does not on this leg.
 
-    The signal has been beyond its end since the fault ``reason``. A leg is the motion in one mode.
+    The signal, a number computed from the state, has been beyond its end since the fault ``reason``. A leg is the
+    motion in one mode, between two events.
     """
     k = int(np.searchsorted(motion.begins[0], reason.time, side="right")) - 1
     s = np.linspace(reason.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]

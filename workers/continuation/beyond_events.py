@@ -93,7 +93,7 @@ def is_continuous(equations: ExtendedSystem, event: Event) -> bool:
 
 
 def asks_multipliers(equations: ExtendedSystem) -> bool:
-    """Return True if a condition of a curve is on multipliers."""
+    """Return True if an extended system has a condition on multipliers, as on a curve of folds."""
     return any(condition.kind in OF_MULTIPLIERS for condition in equations.conditions)
 
 
@@ -102,9 +102,9 @@ def is_smooth(machine: HybridMachines, event: Event) -> bool:
 
     ``machine`` is the only row of a batch.
 
-    They jump where friction begins to stick at zero rate. At the graze of a contact they are continuous only if the
-    contact is soft and has no preload. They also jump at a damped contact that is released by its force. The damper of
-    this contact, with S = I - c M^-1 r r, acts when the contact begins and not when it ends.
+    Multipliers jump where friction begins to stick at zero rate. At the graze of a contact they are continuous only if
+    the contact is soft and has no preload. They also jump at a damped contact that is released by its force. The damper
+    of this contact, with S = I - c M^-1 r r, acts when the contact begins and not when it ends.
     """
     if event.last not in OF_CONTACTS:
         return event.last != GRAZING_SLIDING
@@ -117,7 +117,7 @@ def is_smooth(machine: HybridMachines, event: Event) -> bool:
 class _NearbyOrbit(NamedTuple):
     """An orbit from which to look for the continuation past an event.
 
-    It is the orbit of the event, or a nearby one on the curve of the change.
+    It is the orbit of the event, or a nearby orbit on the curve in two parameters on which the event occurs.
 
     orbit   the orbit
     values  (free,) its parameters
@@ -286,7 +286,7 @@ def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:
 
 
 def is_same_event(equations: ExtendedSystem, one: Event, other: Event) -> bool:
-    """Return True if two events of any kinds are at one orbit of one parameter."""
+    """Return True if two events, of equal or different kinds, are at the same orbit and the same parameters."""
     if np.any(np.abs(one.point.values - other.point.values) > SAME_PARAMETER * equations.width):
         return False
     a, b = (comparison_states(equations.model(e.point.values), many_orbits([e.point.orbit]))[0] for e in (one, other))

@@ -173,7 +173,7 @@ def switch_branch(family: Family, event: Event, width: float, amplitude: float =
 def follow_both_ways(
     equations: ExtendedSystem, start: Array, bounds: Array, resolution: float, budget: int, until: Until | None
 ) -> BranchRun:
-    """Follow a branch or a curve in both directions from a solution, at most ``budget`` points each.
+    """Return a branch or a curve, followed in both directions from a solution for at most ``budget`` points each.
 
     equations   extended system of the branch or curve
     start       (N,) its solution to start from
@@ -227,10 +227,16 @@ def _one_direction(
     until: Until | None,
     goes_on: bool = True,
 ) -> BranchRun:
-    """Follow one of the two directions from a start, whose point ``first`` comes first.
+    """Return the part of a branch or curve in one direction from a start, whose point ``first`` comes first.
 
-    The end of the direction is the second of the two ends of the result. With ``goes_on`` the branch is followed
-    through continuous changes of the itinerary.
+    walk     continuation, at the start
+    first    test functions at the start
+    bounds   (2, free) bounds of the parameters
+    budget   maximum number of points
+    until    predicate: the direction ends at the first event for which it is True
+    goes_on  True to follow the branch through continuous changes of its sequence of events
+
+    The end of the direction is the second of the two ends of the result.
     """
     points, events, end, seen = [first.point], list[Event](), "", first
     begun, steps = walk, 0
@@ -356,7 +362,7 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
 
 
 def _corner(step: ContinuationStep) -> _StepOutcome:
-    """Return the outcome of a step, along which no further step converges, on which a branch ends.
+    """Return the outcome of a step at the start of which a branch ends, since no step from there converges.
 
     An event of the orbit is lost there; if no such event is found, the end is STALLED.
     """

@@ -59,7 +59,7 @@ class Equilibrium(NamedTuple):
 
     @property
     def unstable(self) -> int:
-        """Number of exponents that grow."""
+        """Number of exponents with a positive real part, above rounding: directions in which disturbances grow."""
         return int(np.sum(self.exponents.real > ZERO_SHARE * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> SolutionPoint:
@@ -207,7 +207,10 @@ def equilibria(
 
 
 def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, SolutionPoint, str]]:
-    """Yield the equilibria along ``values``, with their solution points and the kinds of their events."""
+    """Yield (equilibrium, solution point, kind of event) along parameters ``values``, after the equilibrium ``first``.
+
+    The kind is empty if there is no event.
+    """
     current = first
     for value in values.tolist():
         candidate = equilibrium_near(family, np.array([value]), current.code)

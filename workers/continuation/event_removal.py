@@ -23,10 +23,11 @@ def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
 
 
 def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, float] | None:
-    """Return the orbit without an event, and without others at the same time if its mode returns only after them.
+    """Return an orbit without one of its events, or without several at the same time.
 
-    Also return the leg that began with the event, whose signal grazes instead, and the time of the graze. Return None
-    if the remaining events are no orbit.
+    Several are dropped if only after them the mode, a set of linear equations, is that before the event. Also return
+    the leg (motion in one mode) that began with the event, whose signal grazes instead, and the time of the graze.
+    Return None if the remaining events are no orbit. ``span`` is the length of a turn.
     """
     m, choices = len(orbit.itinerary.sides), []
     for count in range(1, min(LOST_AT_ONCE, m) + 1):

@@ -55,10 +55,10 @@ end of its range at an event."""
 class Condition(NamedTuple):
     """One condition on an orbit.
 
-    kind    one of the conditions above
+    kind    UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS or MEETS
     side    side of a graze, or end of the range that is reached
     impact  index of the event
-    kappa   kappa of an angle
+    kappa   cosine of the angle of a pair of multipliers on the unit circle
     signal  signal that grazes an end of its range, or that is at an end at an event
     """
 
@@ -72,7 +72,7 @@ class Condition(NamedTuple):
 def conditions_on(
     orbit: Orbit, conditions: tuple[Condition, ...], former: Orbit, span: float
 ) -> tuple[Condition, ...] | None:
-    """Translate conditions on the orbit ``former`` to ``orbit``, which has other events at about the same times.
+    """Return conditions on the orbit ``former`` as conditions on ``orbit``, whose events are at about these times.
 
     ``span`` is the length of a turn. Return None if the event of a condition is gone.
     """
@@ -286,7 +286,10 @@ class ExtendedSystem:
         return np.asarray(apply_stacked(np.linalg.solve, right.shape, matrix, right)[..., 0])
 
     def curvature(self, motion: OrbitMotion) -> Array:
-        """Return the derivative (B,) of a fold's g along its null vector: zero if the fold is a cusp."""
+        """Return the derivative (B,) of the number g of a fold, see ``_solved``, along the null vector of the fold.
+
+        It is zero if the fold is a cusp.
+        """
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
         along = self._of_unknowns(motion, self._solved(fold, motion)[:, :-1]) * self.scale[: self.states]
         ends = (motion.unknowns + sign * CURVED * along for sign in (1.0, -1.0))

@@ -107,13 +107,13 @@ class Itinerary(NamedTuple):
         return (0.5 if self.symmetric else 1.0) * (self.periods or 1)
 
     def span(self, machines: OrbitMachines) -> Array:
-        """Return the length (N,) of a turn of machines."""
+        """Return the duration (N,) of a turn in each of N machines."""
         length: Array = self.turn * 2.0 * math.pi / machines.omega
         return length
 
     @property
     def sections(self) -> int:
-        """Number of sections of the whole orbit: forcing periods, or passages of the rarest event of a cycle."""
+        """Number of sections of the whole orbit: instants t = k T, or passages of the rarest event of a cycle."""
         if not self.is_cycle:
             return self.periods
         full = self.twice if self.symmetric else self
@@ -150,7 +150,7 @@ class Orbit(NamedTuple):
     """A periodic orbit: the times and speeds of its events.
 
     itinerary  its events and modes
-    times      (m,) times of the events in one turn after a section; of a cycle, after its first event
+    times      (m,) times of the events in one turn after a section t = k T; of a cycle, after its first event
     speeds     (m,) signed speeds before the events
     length     length of a turn of a cycle; NaN if the force determines it
 

@@ -128,7 +128,7 @@ def is_minimal(motion: OrbitMotion) -> bool:
 
 
 def reduce_orbit(orbit: Orbit, to: Itinerary) -> Orbit:
-    """Return the shorter or symmetric orbit next to an orbit that is nearly that orbit repeated."""
+    """Return the orbit with the itinerary ``to`` next to an orbit that is nearly this shorter orbit repeated."""
     k = len(to.sides)
     length = orbit.length * k / len(orbit.times)
     return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), length)

@@ -18,10 +18,10 @@ that is known to be symmetric."""
 def record_orbit(
     machine: OrbitMachines, state: Array, periods: int, symmetric: bool = False, cycle: float | None = None
 ) -> Orbit:
-    """Return the orbit of one machine whose events occur in some periods from a physical section state.
+    """Return the orbit of one machine whose events occur in ``periods`` periods from a state at a section t = k T.
 
     machine    the machine
-    state      (2n,) physical section state; of a cycle, any of its states
+    state      (2n,) physical state at a section; of a cycle, any of its states
     periods    forcing periods of the orbit
     symmetric  True if the orbit is known to be symmetric
     cycle      period of a cycle without a force; None for an orbit with a force

@@ -1,4 +1,4 @@
-"""Orbits from a cell's section state, many at once from neighbouring cells, and section states of orbits."""
+"""Orbits from a cell's state at a section t = k T, many at once from neighbouring cells, and such states of orbits."""
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -121,7 +121,7 @@ def orbit_from_state(
     symmetric: bool = False,
     cycle: float | None = None,
 ) -> Orbit:
-    """Return the periodic orbit through a physical section state, or next to it, by Newton's method.
+    """Return the periodic orbit through a state at a section t = k T, or next to it, by Newton's method.
 
     system     mechanical system
     values     parameters by name; the others have their defaults

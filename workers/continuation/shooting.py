@@ -2,10 +2,11 @@
 
     sign z(t_0 + L) - z(t_0) = 0,  r_i(z(t_i^-), t_i) = its end
 
-The unknowns are the physical state z = (x, v) just before the first event, relative to the rest of the machine, and the
-times t_i of all events. A cycle without a force has L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) =
--z(t), only the events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times,
-which are no unknowns.
+Here r_i is the signal, a number computed from the state, that reaches an end of its range at event i. The unknowns are
+the physical state z = (x, v) just before the first event, relative to the rest of the machine, and the times t_i of all
+events. A cycle without a force has L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) = -z(t), only the
+events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times, which are no
+unknowns.
 """
 
 import math
@@ -170,7 +171,7 @@ class OrbitMotion:
 
     @property
     def orbits(self) -> Orbit:
-        """The orbits as one batch."""
+        """The orbits, with the speeds at their events, as one batch."""
         speeds = self.plan.signs * self.turn.signals[:, 1]
         return Orbit(self.itinerary, self.times, speeds, *[self.span][: self.itinerary.is_cycle])
 
@@ -349,8 +350,8 @@ class OrbitMotion:
     def scale(self) -> tuple[Array, Array]:
         """Return scales that make unknowns comparable.
 
-        The scale of states (N, 2n) is the largest displacement and the largest velocity of any coordinate. The scale of
-        guards (N, m) is the signals of such a state.
+        The scale of states (N, 2n) is the largest displacement and the largest velocity of any coordinate. The second
+        scale (N, m) is that of the signals at events, in such a state.
         """
         states, n = np.abs(self.turn.states), self.start.shape[1] // 2
         omega = self.lin.omega

@@ -134,8 +134,8 @@ def faults(machines: SingleContactMachines) -> NDArray[np.int8]:
 def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kinds]:
     """Return the first machine of each kind, and the index of the kind of each machine.
 
-    Machines of a kind differ at most in forcing frequency, phase and restitution. A plane usually has few kinds, and
-    all results that depend on matrices are computed once per kind.
+    Machines of a kind differ at most in forcing frequency, phase and restitution. The machines of a map are usually of
+    few kinds, and all results that depend on matrices are computed once per kind.
     """
     if len(machines.omega) == 1:
         return machines, ...

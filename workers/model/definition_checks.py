@@ -199,7 +199,7 @@ def _check_starts(starts: Array) -> None:
 
 
 def _check_independent(named: list[str], rows: Array) -> None:
-    """Raise DefinitionError if rows that can stick together depend on each other.
+    """Raise DefinitionError if rows along which a machine can stick together are linearly dependent.
 
     named  keys of the definition that give the rows
     rows   (1, R, n) rows of rigid contacts and friction, zeros for other elements

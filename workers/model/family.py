@@ -159,8 +159,8 @@ class _MachineFactory:
     def from_rest(self, values: Mapping[str, Array]) -> tuple[HybridMachines, Array]:
         """Return the machines at values (N,) of each parameter, and ``rest`` (N, 2n), from which they are counted.
 
-        Only machines with one rigid contact have a rest. Counting from a rest far from the origin would cost digits,
-        and hide that a motion is its own mirror image.
+        Machines with more elements than one rigid contact are counted from 0. Counting from a rest far from the origin
+        would cost digits, and hide that a motion is its own mirror image.
         """
         definition = self.system.definition
         if self.system.has_modes:

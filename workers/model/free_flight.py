@@ -322,8 +322,8 @@ def centred(structure: FlightStructure, machines: SingleContactMachines) -> Rest
 def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleContactMachines) -> tuple[Array, Array]:
     """Return the part of the load that no rest position balances, and the velocities of the motion under this part.
 
-    The load (N, n) drives a rigid mode. The constant velocities (N, n) belong to the damped motion from which the
-    blocks of flight are counted.
+    The load (N, n) drives a rigid mode. The constant velocities (N, n) belong to the damped motion from which states of
+    flight are counted.
     """
     n, modes = machines.gap_row.shape[1], structure.flow.modes
     drift = (modes.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]

@@ -32,22 +32,22 @@ class HybridMachines(NamedTuple):
     damping, stiffness    (N, P, n, n) matrices of each phase
     load                  (N, P, n) load of each phase
     force_sin, force_cos  (N, P, H, n) amplitudes of the force of each phase
-    omega, tau            (N,) forcing frequency, forcing phase at a section
+    omega, tau            (N,) forcing frequency, and forcing phase at the sections t = k T
     starts                (N, P + 1) starts of the phases, shares of the forcing period; the last one is 1
-    row                   (N, C, n) row of each contact
+    row                   (N, C, n) weights of the coordinates in the displacement at each contact
     stops                 (N, C, 2) lower and upper stop of each contact, infinite if missing
     R                     (N, C) coefficient of restitution of rigid contacts, 1 for soft ones
     soft                  (N, C) 1 for soft contacts, else 0; equal in all N
     by_force              (N, C) 1 for contacts released by force, else 0; equal in all N
     contact_constants     (N, P, C, 3) stiffness, damping and preload of soft contacts, 0 for rigid ones; in force per
                           displacement, force per velocity and force along the row
-    friction_rows         (N, F, n) row of each friction
+    friction_rows         (N, F, n) weights of the velocities in the sliding velocity of each friction
     belt                  (N, F) velocity of the surface that each friction rubs on
     friction_constants    (N, P, F, 3) kinetic level, static level and slope; in force, force, and force per velocity
     contact_laws          (N, C, 2, S, 3) further force of the lower and upper stop of a soft contact: start of each
                           segment in depth, slope, and force extrapolated to depth 0; see laws.py
     friction_laws         (N, F, S', 3) further resistance of friction, likewise over |v|
-    counted               (N, C) 1 for contacts, 0 for springs, whose stops are the ends of the segment at rest
+    counted               (N, C) 1 for contacts, 0 for springs, whose stops are ends of the segment with y = 0
     drift                 (N,) the coordinate that may drift, -1 if there is none; equal in all N
 
     All fields are in the units of the definition.
@@ -255,8 +255,8 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
 def held_rows(machines: HybridMachines) -> Array:
     """Return the rows (N, C + F, n) along which rigid contacts and friction can stick, zeros for other elements.
 
-    Friction on the row of a rigid contact, or on a multiple of this row, is left out, since a sticking contact does not
-    slide.
+    A row has the weights of the coordinates. Friction on the row of a rigid contact, or on a multiple of this row, is
+    left out, since a sticking contact does not slide.
     """
     rigid = machines.row * (1.0 - machines.soft)[..., None]
     same = np.any((along_contacts(machines) != 0.0) & (machines.soft == 0.0)[:, None], axis=-1)  # (N, F)

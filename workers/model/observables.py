@@ -151,9 +151,10 @@ class Observable:
         )
 
     def row(self, definition: "Definition", values: "Mapping[str, Array]") -> "tuple[Array, float]":
-        """Return the row (N, n) of the output, and the index in ORDERS of the derivative that the row acts on.
+        """Return the weights (N, n) of the coordinates in the output, and the derivative on which they act.
 
-        The row is for N machines with these parameters (N,), and zero if the observable is no output.
+        The derivative is an index in ORDERS. There are N machines with these parameters (N,). The weights are zero if
+        the observable is no output.
         """
         n = len(definition.coordinates)
         gap = definition.picture_rows(values)
