@@ -25,7 +25,7 @@ are compared.
 class CellAttractors:
     """The known attractors of one cell.
 
-    oscillator  the machine, as a record of many that has only one row
+    oscillator  the machine, as the only row of a batch
     symmetric   True if the machine is its own mirror image half a period later
     attractors  known attractors, in the order in which they were found
     undecided   numbers of the initial states without a known attractor

@@ -257,7 +257,10 @@ def _of_share(hits: int, tried: int) -> dict[str, Any]:
 
 
 def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
-    """Return physical states (N, 2n) and mode numbers (N,) as arrays, from pairs of a state and its mode's number."""
+    """Return physical states (N, 2n), and numbers (N,) of the linear equations that hold there, as arrays.
+
+    ``states`` has pairs of a state and such a number.
+    """
     return np.stack([state for state, _ in states]), np.array([mode for _, mode in states], dtype=np.int64)
 
 

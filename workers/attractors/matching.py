@@ -129,7 +129,7 @@ def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> i
     """Return the number of periods after which a motion stays within NEAR_ORBIT of a cycle without a force.
 
     blocks    decoupled equations of the oscillator
-    sections  (K, n, 2) last states of the motion, one per period
+    sections  (K, n, 2) last states of the motion, at t = k T with T the natural period
     flown     periods simulated
     along     (K, n, 2) states on the cycle in order, connected by straight lines
     """
@@ -183,7 +183,7 @@ def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, 
 
     States are those of decoupled equations; a mode is a set of linear equations between two events.
 
-    oscillators  record of many
+    oscillators  all machines
     r            row of the machine
     oscillator   machine r, its phase counted from the time of h
     h, mode      (n, 2) state, and the number of its mode

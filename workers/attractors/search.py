@@ -50,7 +50,7 @@ class KnownAttractors:
     places      labels of the stable orbits in ``orbits``, in their order
     references  chaos and tori by cell
     cycles      cycles of machines without a force by cell
-    orbits      orbits in the form for kernels
+    orbits      orbits in the form for compiled kernels
     """
 
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
@@ -85,8 +85,9 @@ class MotionSearch:
     compared   (N,) periods on the attractor after its class was known
 
     The motions have parameters (N,) and begin at physical states (N, 2n). Motions that continue earlier ones also have
-    the numbers of their modes (N,). Motions with a reason have no oscillator. A motion ends when it falls into a known
-    orbit. After its transient it is compared with the known chaos and tori of its cell, if there are any.
+    the numbers (N,) of their modes, sets of linear equations. Motions with a reason have no oscillator. A motion ends
+    when it falls into a known orbit. After its transient it is compared with the known chaos and tori of its cell, if
+    there are any.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class MotionSearch:
         return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
 
     def last(self, r: int) -> tuple[Array, int]:
-        """Return the last physical state of motion r, and the number of its mode."""
+        """Return the last physical state of motion r, and the number of its mode, the linear equations that hold."""
         motions = self.cells.batch.motions
         return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.mode[r, 0])
 
@@ -149,10 +150,10 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = matching.REFERENCE) -> tuple[Rows, Array]:
-        """Simulate motions over ``batches`` batches of sections; return those that reach no orbit, and statistics.
+        """Simulate motions over ``batches`` batches of periods; return those that reach no orbit, and statistics.
 
-        The statistics (rows, batches, 4n) are means of coordinates and of their squares over each batch, see
-        ``matching``.
+        The statistics (rows, batches, 4n) are means, over each batch, of the states at t = k T and of their squares,
+        see ``matching``.
         """
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):

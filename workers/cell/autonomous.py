@@ -222,13 +222,13 @@ def turns_of(trail: EventTrail) -> list[int]:
 def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle, Array] | None:
     """Return the cycle near the last m events of a motion, and times (p,) of its rarest event; None without a cycle.
 
-    machine  record of many with one machine
+    machine  the machine, as the only row of a batch
     trail    the events of the motion
     m        number of events of a turn
 
     The cycle is stable, or the motion is on the cycle and a multiplier of the cycle is 1. The rarest event is the event
-    with the fewest passages in a turn; of several it is the first by signal, side and mode. A turn begins there, but
-    not among the hops that end a chatter: these would count as rest.
+    with the fewest passages in a turn; of several the one with the smallest key is taken. A turn begins there, but not
+    among the hops that end a chatter: these would count as rest.
     """
     keys = trail.keys[-m:]
     counts = np.bincount(keys)
@@ -368,16 +368,17 @@ def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]])
 def _after_first(cycle: LimitCycle) -> int:
     """Return the index of the leg that begins after the first event, and after all events at the same time.
 
-    A leg is the motion in one mode, from one event to the next.
+    A leg is the motion between two events.
     """
     lengths = (cycle.motion.ends - cycle.motion.begins)[0, 1:]
     return 1 + int(np.argmax(lengths > AT_ONE_TIME * cycle.period))
 
 
 def _as_passed(machines: Oscillator, cycle: LimitCycle, times: Array) -> CellCycle:
-    """Return a limit cycle in the form that cells keep, with its states at ``times`` (p,) as section states.
+    """Return a limit cycle in the form that cells keep, with its states at ``times`` (p,).
 
-    The times are the passages of the rarest event of the cycle. ``machines`` determine how modes are numbered.
+    The times are the passages of the rarest event of the cycle. ``machines`` determine how modes, the sets of linear
+    equations, are numbered.
     """
     motion, segments = cycle.motion, machines.table.machines.segments
     legs, states = [leg for leg, _ in motion.plan.legs[1:]], motion.turn.states[0, 1:]

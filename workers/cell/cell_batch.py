@@ -95,7 +95,7 @@ class CellCycle(NamedTuple):
         """Return True if a motion is on the cycle: one of its states after events is a state of the cycle.
 
         states   (K, 2n) states of the motion just after its events
-        numbers  (K,) numbers of its modes after these events
+        numbers  (K,) numbers of its modes, sets of linear equations, after these events
         """
         near = self._away(states[:, None]) <= CLOSING_DISTANCE
         return bool(np.any(near & (numbers[:, None] == self.numbers)))

@@ -37,7 +37,7 @@ class EventTrail(NamedTuple):
 
     legs    (E, columns) the motion from each event of a signal to the next one, see leg_record.LegRecord
     first   (G,) index of the first leg of each event
-    keys    (G,) key of each event: equal if signals, sides and next mode are equal
+    keys    (G,) key of each event: equal if signals, sides and the mode (linear equations) that follows are equal
     states  (G, 2n) states after the events, as shares of the range of each component
 
     A signal is a number computed from the state; it reaches an end of its range at its events.
@@ -50,7 +50,7 @@ class EventTrail(NamedTuple):
 
     @property
     def states_after(self) -> tuple[Array, NDArray[np.int64]]:
-        """Physical states (E, 2n) after the events of each signal, and the numbers (E,) of the modes that begin there.
+        """Physical states (E, 2n) just after the events, and the numbers (E,) of the modes that begin there.
 
         A mode is a set of linear equations of motion between two events.
         """
@@ -73,7 +73,7 @@ class EventTrail(NamedTuple):
 def trail_of(legs: Array, size: int, period: float) -> EventTrail:
     """Return the events of a motion, in order of time, from its legs (E, columns).
 
-    legs    parts of the motion in one mode, each from one event to the next, see leg_record.LegRecord
+    legs    parts of the motion, each from one event to the next, see leg_record.LegRecord
     size    number of components of a state
     period  natural period
     """
@@ -94,7 +94,7 @@ def trail_of(legs: Array, size: int, period: float) -> EventTrail:
 def _first_at_one_time(events: Array, period: float) -> NDArray[np.int64]:
     """Return the indices of ``events`` that come alone, or first of several that occur at one time.
 
-    Events of the same signal never count as one. ``period`` is the natural period.
+    Events of the same signal, a number computed from the state, never count as one. ``period`` is the natural period.
     """
     later = np.diff(events[:, LEG.start], prepend=-np.inf) > AT_ONE_TIME * period
     for k in np.flatnonzero(~later).tolist():
@@ -141,13 +141,13 @@ def turn_from(
 ) -> tuple[OrbitMachines, Orbit, NDArray[np.int64]]:
     """Return (machine, orbit, keys): the last m events of a motion as one turn that begins with event ``first``.
 
-    machine  record of many with one machine
+    machine  the machine, as the only row of a batch
     trail    the events of the motion
     m        number of events of the turn
     first    index of the event, among the last m
 
-    The machine of the result has the length of the turn as its period. There is a key for each signal's event; it is
-    equal for events of the same kind. Of several signals at one time the first has the key, the others have -1.
+    The machine of the result has the length of the turn as its period. There is a key for each event, equal for events
+    of the same kind. Of several events at one time the first has the key, the others have -1.
     """
     starts = np.append(trail.first, len(trail.legs))[len(trail.keys) - m :]
     rows = trail.legs[starts[0] :].copy()

@@ -40,7 +40,7 @@ def begin(
     mode         (N,) numbers of the modes, sets of linear equations, of motions that continue from these states;
                  None if the state decides
     vectors      number of tangent vectors
-    record       maximum number of impacts to record
+    record       maximum number of impacts to store
     """
     N, size = states.shape
     motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
@@ -89,7 +89,8 @@ def run(batch: MotionBatch, cells: Rows, *, to_end: bool = True, lanes: int = LA
     """Simulate these cells of a batch, in place, until each has ended; at most ``lanes`` <= LANES cells at a time.
 
     Without ``to_end`` return once half of these places are idle, so that other cells can take them. Cells with only
-    underdamped modes need less arithmetic and run separately. Cells whose free flight may grow run one after the other.
+    underdamped modes of vibration need less arithmetic and run separately. Cells whose free flight may grow run one
+    after the other.
     """
     if batch.oscillators.has_modes:
         signals, enough = batch.oscillators.table.machines.signals, 0 if to_end else min(lanes, len(cells)) // 2

@@ -312,7 +312,7 @@ def put_states(cells: CellBatch, rows: Rows, oscillators: Oscillator, h: Array, 
 
     oscillators  the machines, a row for each cell
     h            (N, n, 2) states of the decoupled equations
-    mode         (N, 1) numbers of the modes
+    mode         (N, 1) numbers of the modes, sets of linear equations
     period       (N,) periods of orbits, 0 without an orbit
 
     An orbit repeats its section states. States are NaN after the motion cannot be followed.

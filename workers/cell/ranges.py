@@ -18,7 +18,7 @@ def impact_range(oscillators: Oscillator, tally: Array, h: Array, mode: Rows, pe
     """Return maximum minus minimum (N,) of the gap coordinate y over motions with impacts.
 
     tally    (N, TALLIES) counts of the motions
-    h, mode  (N, n, 2), (N, 1) states of the decoupled equations, and numbers of the modes
+    h, mode  (N, n, 2), (N, 1) states of the decoupled equations, and numbers of the modes (linear equations)
     periods  (N,) periods over which y is followed
 
     The range is the whole gap if impacts were counted at both stops. Otherwise y is followed through every turning
@@ -69,7 +69,7 @@ def _free_amplitude(gap: GuardedFlow, h: Array) -> Array:
 def _followed(oscillators: Oscillator, h: Array, mode: Rows, periods: Rows, cells: Rows) -> Array:
     """Return the range (N,) of the gap coordinate of these cells, found by ``excursions``; NaN for all other cells.
 
-    h, mode  (N, n, 2), (N, 1) states of the decoupled equations, and numbers of the modes
+    h, mode  (N, n, 2), (N, 1) states of the decoupled equations, and numbers of the modes (linear equations)
     periods  (N,) periods over which motions are followed
 
     The range of a motion at rest is 0.

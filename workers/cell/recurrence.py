@@ -36,8 +36,8 @@ class Recurrence:
 
         The update counts once the transient is over (``settled``).
 
-        The energy ranges of any torus at RETURNS sections overlap. Decaying motion impacts ever more rarely: a single
-        flight may last longer than all of the motion before it.
+        The ranges of the energy of a torus, over any RETURNS sections t = k T, overlap. Decaying motion impacts ever
+        more rarely: a single flight may last longer than all of the motion before it.
         """
         low, high = _energy_ranges(cells, rows)
         tally, periods = counts(cells, rows)
@@ -57,7 +57,7 @@ class Recurrence:
 def _energy_ranges(cells: CellBatch, rows: Rows) -> tuple[Array, Array]:
     """Return the minimum and the maximum energy (rows,) of these cells at their last sections t = k T.
 
-    Rigid modes count with their kinetic energy.
+    Rigid motions count with their kinetic energy.
     """
     blocks, sections = cells.oscillators.gap.blocks[rows], cells.batch.sections[rows, -RETURNS:]
     weight = np.where(blocks[..., COLUMN.lam] != 0.0, blocks[..., COLUMN.metric], 0.0)

@@ -66,12 +66,12 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contrac
     oscillators  N machines
     rows         rows of the motions
     hits         impacts per period
-    contraction  with modes, change per period of the log of volume
+    contraction  change per period of the logarithm of volume in state space; unused for one rigid contact alone
 
-    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; an impact reduces one of the 2n
-    squares in the energy. The result may be infinite. If a motion grows, eta is the smallest rate of growth or decay.
-    With modes ``contraction`` shows, in place of R, the loss by all contacts and frictions: without impacts at most one
-    square per period.
+    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode of vibration between impacts; an impact reduces one of
+    the 2n squares in the energy. The result may be infinite. If a motion grows, eta is the smallest rate of growth or
+    decay. For other machines than those with one rigid contact, ``contraction`` shows, in place of R, the loss by all
+    contacts and frictions: without impacts at most one square per period.
     """
     period, freedoms = oscillators.period[rows], 2.0 * oscillators.gap_row.shape[1]
     if oscillators.has_modes:

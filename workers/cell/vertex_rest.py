@@ -38,7 +38,7 @@ for which it is followed."""
 
 
 class Rest(NamedTuple):
-    """An equilibrium at a vertex, the end of a signal's range, where a motion shrinks by one factor in each turn.
+    """An equilibrium at a vertex, a stop or a corner of a law, where a motion shrinks by one factor in each turn.
 
     state      (2n,) its physical state
     number     number of a mode there, a set of linear equations between two events
@@ -71,7 +71,8 @@ def rest_of_turns(cells: CellBatch, r: int) -> Rest | None:
 def rest_beside(cells: CellBatch, r: int) -> Rest | None:
     """Return the equilibrium at a vertex in which the only mass of a cell stands; None if there is none.
 
-    A motion that starts near the equilibrium must shrink round it; motion from all sides then does so.
+    A vertex is a stop, or a corner of a piecewise linear law. A motion that starts near the equilibrium must shrink
+    round it; motion from all sides then does so.
     """
     if cells.directions > 2:
         return None
@@ -84,7 +85,8 @@ def rest_beside(cells: CellBatch, r: int) -> Rest | None:
 def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | None:
     """Return the equilibrium at a vertex round which a motion from ``state`` (2n,) shrinks; None if there is none.
 
-    The motion of cell r is followed event by event for at most ``periods`` natural periods.
+    A vertex is a stop, or a corner of a piecewise linear law. The motion of cell r is followed event by event for at
+    most ``periods`` natural periods.
     """
     machine, (number,) = at_rows(cells.oscillators, np.array([r])), numbers_of(cells, r, state[None])
     last = deque(trails(cells, r, (state, int(number)), periods), maxlen=1)
@@ -107,7 +109,7 @@ def numbers_of(cells: CellBatch, r: int, states: Array) -> NDArray[np.int64]:
 
 
 def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium at the end of a signal's range to which a motion converges in one mode; else None.
+    """Return the equilibrium at a stop, or a corner of a law, to which a motion converges in one mode; else None.
 
     A mode is a set of linear equations between two events. The motion of cell r comes from one side, by its slowest
     decay.
@@ -123,7 +125,7 @@ def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: in
     """Return the equilibrium of ``rest_without_events`` in the mode of this number; None if there is none.
 
     sections  (K, 2n) states of the motion at sections t = k T
-    inside    (K,) mask of sections in that mode
+    inside    (K,) mask of sections in that mode, a set of linear equations
     """
     slot, size = np.flatnonzero(machine.table.codes[0] == number), sections.shape[1]
     if not len(slot) or machine.table.pieces.lost[0, slot[0]] > 0.0:
@@ -159,7 +161,10 @@ def _rest_of_mode(to_physical: Array, blocks: Array) -> Array:
 
 
 def _rates(acceleration: Array) -> Array:
-    """Return the matrix (2n, 2n) of z' = A z about the rest position of a mode, from its accelerations (n, 2n + 1)."""
+    """Return the matrix (2n, 2n) of z' = A z about a rest position, from its accelerations.
+
+    ``acceleration`` (n, 2n + 1) has the weights of (x, v, 1) in x''.
+    """
     n = len(acceleration)
     return np.concatenate([np.eye(n, 2 * n, n), acceleration[:, : 2 * n]])
 
@@ -167,10 +172,10 @@ def _rates(acceleration: Array) -> Array:
 def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
     """Return the equilibrium to which a motion shrinks through ever the same events; None if there is none.
 
-    ``machine`` is a single machine in a batch, ``trail`` the events of its motion. If each mode of a turn is at rest in
-    one state, and each signal of an event is at its end there, then the motion round it has no scale. A factor by which
-    one turn multiplies the motion then applies to every turn. Motion along itself grows by this factor, and so does the
-    distance; the map of the turn has the other multipliers.
+    ``machine`` is a single machine in a batch, ``trail`` the events of its motion. Suppose that all linear equations,
+    or modes, of a turn are at rest in one state, and all events lie there. Then the motion round it has no scale. A
+    factor by which one turn multiplies the motion then applies to every turn. Motion along itself grows by this factor,
+    and so does the distance; the map of the turn has the other multipliers.
     """
     last, size = len(trail.keys) - 1, trail.states.shape[1]
     again = last - np.flatnonzero(trail.keys[:-1] == trail.keys[-1:])[::-1]
@@ -219,9 +224,9 @@ def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -
 
 
 def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
-    """Return the state (2n,) at which all modes of a turn rest and all signals of events are at their ends, or None.
+    """Return the state (2n,) at which all modes of a turn are at rest and all its events lie; None if there is none.
 
-    ``size`` (2n,) is the size of states in the turn.
+    A mode is a set of linear equations between two events. ``size`` (2n,) is the size of states in the turn.
     """
     pieces, plan, n = motion.pieces, motion.plan.table, len(size) // 2
     events = plan[plan[:, EVENT] != NO_EVENT]
@@ -240,7 +245,10 @@ def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
 
 
 def put_rests(cells: CellBatch, rests: dict[int, Rest]) -> None:
-    """Write the results of cells that shrink to an equilibrium at a vertex; ``rests`` has the equilibria by row."""
+    """Write the results of cells that shrink to an equilibrium at a stop or a corner of a law.
+
+    ``rests`` has the equilibria by row.
+    """
     if not rests:
         return
     rows, orbits = np.array(list(rests), dtype=np.int64), cells.orbits

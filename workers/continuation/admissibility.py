@@ -40,7 +40,7 @@ class AdmissibilityFault(NamedTuple):
     impact  index of the event that is lost or out of order, or at which friction sticks or slides wrongly; else -1
     time    time of the contact, NaN for other reasons
     side    end of its range that the signal reaches
-    signal  signal that reaches it
+    signal  the signal, a number computed from the state
 
     An orbit is admissible if each motion between two of its events ends at its own event and at no other. Events of any
     kind count as impacts, and any signal at an end of its range as a contact.
@@ -67,8 +67,8 @@ class Graze(NamedTuple):
 def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = -1) -> AdmissibilityFault | None:
     """Return the first reason, in time, why an orbit is not admissible; None if it is admissible.
 
-    motion   the orbit, as the only row of a batch
-    touches  grazes that are allowed: signals touch ends of their ranges there and turn back
+    motion   the orbit, alone in a batch
+    touches  grazes that are allowed: numbers computed from the state touch ends of their ranges there and turn back
     lost     index of an event whose rate is zero; if it is an impact it counts as a graze
     """
     rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
@@ -125,9 +125,10 @@ def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
 
 
 def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
-    """Return the fault of leg k if a signal is out of its range already where the leg begins; else None.
+    """Return the fault of leg k if an event is overdue already where the leg begins; else None.
 
-    A leg is the motion in one mode, between two events; signals reach ends of their ranges at events.
+    A leg is the motion between two events. An event is overdue if a signal, a number computed from the state, is out of
+    its range.
     """
     leg, mode = motion.plan.legs[k][0], motion.plan.table[k, MODE]
     signal, side = beyond_range(
@@ -141,7 +142,7 @@ def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
 
 
 def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
-    """Return the phase of the force at the time ``later`` after the beginning of leg k, the motion after some event."""
+    """Return the phase of the force at the time ``later`` after the beginning of leg k, a motion between two events."""
     machines = motion.lin
     return math.fmod(
         float(machines.tau[0]) + float(machines.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi
@@ -151,7 +152,7 @@ def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
 def _of_leg(
     motion: OrbitMotion, k: int, period: float, touches: Sequence[Graze], lost: int
 ) -> AdmissibilityFault | None:
-    """Return the first fault on leg k, the motion in one mode, before the event at its end; None without a fault.
+    """Return the first fault on leg k, a motion between two events, before the event at its end; None without a fault.
 
     period   forcing period
     touches  grazes that are allowed
@@ -191,8 +192,9 @@ def _of_leg(
 def _events_at_end(motion: OrbitMotion, k: int, tolerance: float) -> set[tuple[int, int]]:
     """Return (signal, side) of the event at the end of leg k, and of the events that follow it within ``tolerance``.
 
-    Rounding decides the order of these events. The set is empty if the leg, the motion in one mode, ends where the
-    phase changes, or with a turn without events.
+    A leg is a motion between two events; ``signal`` is the number whose event it is, ``side`` the end of its range.
+    Rounding decides the order of these events. The set is empty if the leg ends where the phase changes, or with a turn
+    without events.
     """
     legs, (lengths,) = motion.plan.legs, motion.ends - motion.begins
     if legs[k][1] == NO_EVENT and not (k + 1 == len(legs) and motion.itinerary.sides):
@@ -216,7 +218,10 @@ def _near(motion: OrbitMotion, touch: Graze, time: float, period: float) -> bool
 
 
 def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
-    """Return True if a signal comes nearer to its end before a graze, and moves away from this end after the graze."""
+    """Return True if a signal comes nearer to its end before a graze, and moves away from this end after the graze.
+
+    A signal is a number computed from the state, with an event at each end of its range.
+    """
     times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
     _, (_, rates, _, _) = motion.states_at(times, touch.signal)
     return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
@@ -226,7 +231,7 @@ def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
     """Return about when a signal that is beyond the end of its range turns back; None if it does not on this leg.
 
     The signal, a number computed from the state, has been beyond its end since the fault ``reason``. A leg is the
-    motion in one mode, between two events.
+    motion between two events.
     """
     k = int(np.searchsorted(motion.begins[0], reason.time, side="right")) - 1
     s = np.linspace(reason.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]

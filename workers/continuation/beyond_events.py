@@ -100,7 +100,7 @@ def asks_multipliers(equations: ExtendedSystem) -> bool:
 def is_smooth(machine: HybridMachines, event: Event) -> bool:
     """Return True if multipliers are continuous where the sequence of an orbit's events changes.
 
-    ``machine`` is the only row of a batch.
+    ``machine`` is a single machine in a batch.
 
     Multipliers jump where friction begins to stick at zero rate. At the graze of a contact they are continuous only if
     the contact is soft and has no preload. They also jump at a damped contact that is released by its force. The damper
@@ -219,7 +219,7 @@ def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit
 
 
 def _recorded(family: Family, nearby: _NearbyOrbit, share: float, bounds: Array) -> Orbit | None:
-    """Return the orbit recorded along the motion from the section state of a nearby orbit, at a ``share`` of its step.
+    """Return the orbit found by simulation from the state of a nearby orbit at t = 0, at a ``share`` of its step.
 
     Return None if the parameters are out of bounds, the motion cannot be followed, or the orbit and the nearby orbit
     differ in symmetry.
@@ -281,7 +281,7 @@ def _solved(
 
 
 def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:
-    """Return True if two itineraries have the same events and modes, from any first event on."""
+    """Return True if two orbits have the same events and linear equations between events, from any event on."""
     return bool(beginnings(one, other))
 
 

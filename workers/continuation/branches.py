@@ -67,7 +67,8 @@ class BranchRun(NamedTuple):
     ends          how either end of the branch ends
     newton_steps  number of Newton steps
 
-    Points beyond an event at which the orbit continues with other contacts or slides have another itinerary.
+    Points beyond an event at which the orbit continues with other contacts or slides have another itinerary, or
+    sequence of events.
     """
 
     points: list[SolutionPoint]
@@ -111,9 +112,9 @@ def branch(
     """Return the branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
     The branch is followed by pseudo-arclength in state, times and the parameter. Its events are folds, symmetry
-    breakings, period doublings, Neimark-Sacker points, and changes of itinerary: grazes, lost impacts, changes of
-    stick. At a change of itinerary the branch continues with another itinerary if the motion depends continuously on
-    the parameter, else it ends.
+    breakings, period doublings, Neimark-Sacker points, and changes of the itinerary, the sequence of events: grazes,
+    lost impacts, changes of stick. At a change of itinerary the branch continues with another itinerary if the motion
+    depends continuously on the parameter, else it ends.
 
     family      machines over one free parameter
     orbit       orbit near the one to start from
@@ -260,7 +261,7 @@ def _one_direction(
 
 
 class _ContinuedWalk(NamedTuple):
-    """A branch or a curve beyond a change of itinerary.
+    """A branch or a curve beyond a change of the orbit's sequence of events.
 
     walk          continuation from there
     seen          test functions where ``walk`` starts

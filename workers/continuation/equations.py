@@ -15,7 +15,10 @@ from workers.model.oscillator import Array, Mask
 
 
 def check_orbits(machines: OrbitMachines, itinerary: Itinerary) -> None:
-    """Raise ValueError, in one line, if none of the machines can have an orbit with this itinerary, see ``admit``."""
+    """Raise ValueError, in one line, if none of the machines can have an orbit with this sequence of events.
+
+    See ``admit``.
+    """
     for wrong, why in _faults(machines, itinerary):
         if np.all(wrong):
             raise ValueError(why)
@@ -55,7 +58,7 @@ def _faults(machines: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mas
 
 
 def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) -> OrbitMachines:
-    """Return machines without a force with frequencies at which turns of this itinerary have these lengths (N,).
+    """Return machines without a force with frequencies at which one turn of an orbit has these lengths (N,).
 
     Nothing else in the machines depends on the frequency.
     """
@@ -63,7 +66,7 @@ def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) ->
 
 
 def motion_of_unknowns(machines: OrbitMachines, itinerary: Itinerary, X: Array) -> OrbitMotion:
-    """Return the motions of N orbits with this itinerary from the unknowns X (N, ...) of their equations.
+    """Return the motions of N orbits with this sequence of events from the unknowns X (N, ...) of their equations.
 
     The states come first in X, then the times of events, see ``Orbit.unknown_times``.
     """

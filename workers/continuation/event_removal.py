@@ -26,7 +26,7 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
     """Return an orbit without one of its events, or without several at the same time.
 
     Several are dropped if only after them the mode, a set of linear equations, is that before the event. Also return
-    the leg (motion in one mode) that began with the event, whose signal grazes instead, and the time of the graze.
+    the leg (motion between two events) that began with the event, which becomes a graze, and the time of the graze.
     Return None if the remaining events are no orbit. ``span`` is the length of a turn.
     """
     m, choices = len(orbit.itinerary.sides), []
@@ -53,14 +53,14 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
 
 
 def _before(orbit: Orbit, event: int) -> tuple[Leg, ...]:
-    """Return the legs, parts of the motion in one mode each, from the event before ``event`` to ``event``."""
+    """Return the legs, motions between events or changes of phase, from the event before ``event`` to ``event``."""
     return orbit.itinerary.legs[event - 1] if event else orbit.itinerary.legs_after(0, orbit.itinerary.sign)[-1]
 
 
 def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
     """Return the orbit without the events in the slice ``lost``.
 
-    ``before`` are the legs, parts of the motion in one mode each, that end at the first of these events.
+    ``before`` are the legs, motions between events or changes of phase, that end at the first of these events.
     """
     sides, periods, symmetric, legs = orbit.itinerary
     remaining = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
@@ -73,7 +73,7 @@ def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
 def _of_phases(chain: tuple[Leg, ...]) -> tuple[Leg, ...]:
     """Return the legs of a turn without events, which begins with the machine's first phase.
 
-    A leg is the motion in one mode; here it ends where the phase changes.
+    A leg is here the motion from one change of phase to the next.
     """
     first = next((k for k, leg in enumerate(chain) if leg.code.phase == 0), 0)
     turn = (chain[first:] + chain[:first])[: max(1, len(chain) - 1)]

@@ -259,8 +259,8 @@ def locate_event(
 def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
     """Return the symmetry breaking or period doubling at which a branch becomes an orbit of half the turn.
 
-    ``to`` is the itinerary of that orbit. The search also works on a curve of grazes. Return None on other curves, and
-    if the event is not found.
+    ``to`` is the itinerary, the sequence of events, of that orbit. The search also works on a curve of grazes. Return
+    None on other curves, and if the event is not found.
     """
     eq = step.equations
     grazes = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)

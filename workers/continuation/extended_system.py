@@ -59,7 +59,7 @@ class Condition(NamedTuple):
     side    side of a graze, or end of the range that is reached
     impact  index of the event
     kappa   cosine of the angle of a pair of multipliers on the unit circle
-    signal  signal that grazes an end of its range, or that is at an end at an event
+    signal  signal (number computed from the state) that grazes an end of its range, or is at an end at an event
     """
 
     kind: str
@@ -117,7 +117,7 @@ def _apart(orbit: Orbit, former: Orbit, span: float, later: float) -> tuple[Arra
 
 
 class ExtendedSystem:
-    """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
+    """The equations of orbits with one sequence of events and conditions, over the free parameters of a family.
 
     scale   (unknowns,) scale that makes unknowns comparable
     unit    (2n + m,) scale of the residuals of the orbit
@@ -154,7 +154,7 @@ class ExtendedSystem:
         self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
 
     def model(self, values: Array) -> OrbitMachines:
-        """Return the machine at parameters (free,), as the only row of a batch."""
+        """Return the machine at parameters (free,), alone in a batch."""
         return self._model(*values.tolist())
 
     def pack(self, orbit: Orbit, contacts: Array, values: Array) -> Array:
@@ -171,7 +171,7 @@ class ExtendedSystem:
         return X[..., X.shape[-1] - self.free :]
 
     def motion(self, X: Array) -> OrbitMotion:
-        """Return the motion of unknowns (N,), as the only row of a batch: machine, itinerary, event times and start."""
+        """Return the motion of the orbit at unknowns (N,), alone in a batch."""
         return self._motion(*X.tolist())
 
     def orbit(self, X: Array) -> Orbit:

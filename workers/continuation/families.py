@@ -55,7 +55,7 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
 
 
 def machine_of(system: System, values: Mapping[str, float]) -> OrbitMachines:
-    """Return the machine at these parameters as the only row of a batch. Raise errors as ``family_of``."""
+    """Return the machine at these parameters, alone in a batch. Raise errors as ``family_of``."""
     return family_of(system, values, ()).model(np.zeros((1, 0)))
 
 

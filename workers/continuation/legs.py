@@ -62,7 +62,7 @@ def act_on(elements, r, act, signal, z, W):
     elements  contacts and friction of the machines
     r         row of the machine
     act       what happens to the velocity: NOTHING, REBOUNDS, RESTS or SLOWS
-    signal    number of the signal whose event it is, which decides the contact or friction
+    signal    index of the signal, a number computed from the state, whose event it is: it tells the contact or friction
     """
     n = elements.row.shape[2]
     if act in (REBOUNDS, RESTS):
@@ -83,16 +83,16 @@ def act_on(elements, r, act, signal, z, W):
 def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
     """Apply the saltation matrix of the event at the end of a leg to tangents D (m, 2n) at a fixed time, in place.
 
-    modes, elements  modes of the orbit, and contacts and friction of the machines
-    plan, leg        legs of the turn, and the leg, a motion in one mode, that ends at the event
+    modes, elements  modes (linear equations) of the orbit, and contacts and friction of the machines
+    plan, leg        legs of the turn, and the leg, a motion between two events, that ends at the event
     r, omega         row and frequency of the machine
     z, turn          (2n,) state before the event, and harmonics of the force then
     minimum          rate below which friction begins to stick at rate 0
     D, P             (m, 2n) tangents, (3, 2n) scratch space
 
-    S w = R w + (f+ - R f-) (r . w) / r'. All terms are taken where the guard, the signal of the event, is at its end,
-    next to z if z itself is not there. The map of a turn is thus smooth off the orbit too, however slowly a contact is
-    reached. S = R if friction begins to stick at a rate below ``minimum``.
+    S w = R w + (f+ - R f-) (r . w) / r'. All terms are taken where the guard, the number that decides the event, is at
+    its end, next to z if z itself is not there. The map of a turn is thus smooth off the orbit too, however slowly a
+    contact is reached. S = R if friction begins to stick at a rate below ``minimum``.
     """
     k, g, act, n = plan[leg, MODE], plan[leg, SIGNAL], plan[leg, ACT], len(z) // 2
     row, at, f, late = modes.rows[k, g, : 2 * n], P[0], P[1:2], P[2]
@@ -116,9 +116,9 @@ def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
 def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, minimum):
     """Return the results of one turn of N orbits, from states ``start`` (N, 2n) over events at times t (N, m).
 
-    signals    (N, 3, m) value of each event's signal, its rate before the event, and its rate after the event
-    states     (N, L, 2n) states at which the legs, motions in one mode each, begin
-    residuals  (N, M) sign z(end) - start, and distance of each signal from its end, M = 2n + m
+    signals    (N, 3, m) value of the number that decides each event, its rate before the event, and its rate after it
+    states     (N, L, 2n) states at which the legs, motions between two events each, begin
+    residuals  (N, M) sign z(end) - start, and distance of these numbers from their ends, M = 2n + m
     tangents   (N, M, M) derivatives [[sign V, sign U], [Hz, Ht]] of the residuals by start and times
     shifts     (N, M, M) see below
     maps       (N, 2n, 2n) of a turn, of the state at the time of the first event
@@ -184,9 +184,10 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, min
 def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal, mirror, s):
     """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of one signal then.
 
-    A signal is a number computed from the state, with a range in each mode. ``begins`` (N, L) are the times at which
-    the legs of a turn, motions in one mode each, begin, ``states`` their states. An event at such a time, up to
-    rounding, counts as past. States and signal are multiplied by ``sign`` and ``mirror`` from turn to turn.
+    A signal is a number computed from the state, with an event at each end of its range. ``begins`` (N, L) are the
+    times at which the legs of a turn, motions between two events each, begin, ``states`` their states. An event at such
+    a time, up to rounding, counts as past. States and signal are multiplied by ``sign`` and ``mirror`` from turn to
+    turn.
     """
     (N, K), legs, size = s.shape, len(plan), states.shape[2]
     moments, values = np.empty((N, K, size)), np.empty((4, N, K))

@@ -17,9 +17,9 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     """Return the distance of two orbits at the same parameters, the smallest over all phases and both mirror images.
 
     The distance is the largest difference of times, in radians of the force, and of speeds, relative to the fastest
-    impact. It is infinite for different itineraries. Cycles may begin at any time, and their times count in radians of
-    their own turn. Mirror images are compared for every machine: the image of an orbit is no orbit of a machine that is
-    not symmetric.
+    impact. It is infinite for different sequences of events. Cycles may begin at any time, and their times count in
+    radians of their own turn. Mirror images are compared for every machine: the image of an orbit is no orbit of a
+    machine that is not symmetric.
     """
     a, b = one.itinerary, other.itinerary
     if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
@@ -59,10 +59,10 @@ def double_orbit(orbit: Orbit, span: float) -> Orbit:
 
 @cache
 def beginnings(one: Itinerary, other: Itinerary) -> tuple[int, ...]:
-    """Return the indices of events of an orbit from which on its events and modes are those of another itinerary.
+    """Return the indices of events of an orbit from which on it has the sequence of events of another orbit.
 
-    one    itinerary, the sequence of events and modes, of the orbit
-    other  itinerary to compare with
+    one    itinerary, the sequence of events and of the linear equations between them, of the orbit
+    other  itinerary of the other orbit
 
     Indices of events in the second half of a symmetric orbit follow those of the first. The result is empty if the
     events differ, and (0,) if there are no events.
@@ -84,7 +84,7 @@ def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> O
 
     orbit      the orbit
     first      index of the event, one of the ``beginnings`` of the orbit
-    itinerary  sequence of events and modes from that event on
+    itinerary  sequence of the events from that event on
     span       length of a turn
     """
     turns, events = np.divmod(first + np.arange(len(orbit.times)), max(1, len(orbit.times)))
@@ -123,12 +123,12 @@ def difference(motion: OrbitMotion, to: Itinerary) -> Array:
 
 
 def is_minimal(motion: OrbitMotion) -> bool:
-    """Return True if an orbit is no repetition of a shorter orbit that its itinerary allows."""
+    """Return True if an orbit is no repetition of a shorter orbit that its sequence of events allows."""
     return all(np.max(np.abs(difference(motion, to))) > SAME_ORBIT for to in reductions(motion.itinerary))
 
 
 def reduce_orbit(orbit: Orbit, to: Itinerary) -> Orbit:
-    """Return the orbit with the itinerary ``to`` next to an orbit that is nearly this shorter orbit repeated."""
+    """Return the shorter orbit, with the sequence of events ``to``, that an orbit nearly repeats."""
     k = len(to.sides)
     length = orbit.length * k / len(orbit.times)
     return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), length)

@@ -87,10 +87,10 @@ def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
 
 
 def orbit_from_turn(turn: Sequence[RecordedLeg], before: ModeCode, periods: int, length: float = np.nan) -> Orbit:
-    """Return the orbit of one turn, given as legs, motions in one mode each; the turn begins with an event.
+    """Return the orbit of one turn, given as legs, motions between two events each; the turn begins with an event.
 
     turn     recorded legs of the turn
-    before   mode before the first event
+    before   mode, the set of linear equations, before the first event
     periods  forcing periods of the orbit; 0 for a cycle
     length   length of a cycle
     """
@@ -111,7 +111,8 @@ def orbit_from_turn(turn: Sequence[RecordedLeg], before: ModeCode, periods: int,
 def reduce_symmetry(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:
     """Return the first half of an orbit if the other half is its mirror image; else the orbit itself.
 
-    Times of events of both halves may differ by the share ``alike`` of a turn. ``machine`` is the only row of a batch.
+    Times of events of both halves may differ by the share ``alike`` of a turn. ``machine`` is a single machine in a
+    batch.
     """
     (sides, periods, symmetric, legs), half = orbit.itinerary, len(orbit.times) // 2
     span = orbit.span(machine)

@@ -26,7 +26,7 @@ FARTHEST = 0.5
 
 
 class OrbitBatch(NamedTuple):
-    """N orbits of one itinerary.
+    """N orbits with one sequence of events.
 
     orbits     the orbits, as a batch
     values     (N, free) parameters
@@ -55,7 +55,7 @@ def group_indices(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
 
 
 def many_of(orbits: list[Orbit], values: Array) -> OrbitBatch:
-    """Return orbits of one itinerary as one batch, with their parameters (N, free)."""
+    """Return orbits with one sequence of events as one batch, with their parameters (N, free)."""
     return OrbitBatch(many_orbits(orbits), values, np.ones(len(orbits), dtype=bool))
 
 
@@ -161,11 +161,11 @@ def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> 
 def section_states(
     system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0, known: bool = False
 ) -> Array:
-    """Return the physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T.
+    """Return the physical states (N, n, 2d) of N orbits at the n sections t = k T.
 
     system  mechanical system
     values  parameters (N,) by name; the others have their defaults
-    orbits  N orbits of one itinerary
+    orbits  N orbits with one sequence of events
     shift   shift of the section, in forcing periods
     known   True for the states of cycles after all events, see ``comparison_states``
 
@@ -178,11 +178,11 @@ def section_states(
 
 
 def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
-    """Return the physical states (N, n, 2d) of orbits at the sections of a turn, see ``section_states``.
+    """Return the physical states (N, n, 2d) of orbits at the sections t = k T, see ``section_states``.
 
-    The sections of a cycle are the passages of its rarest event, just after the event. If several events are rarest,
-    the first by signal, side and mode is taken. With a ``shift`` the sections are the passages of that event of the
-    mirror images.
+    A cycle without a force has, in place of sections, the passages of its rarest event, just after the event. Of
+    several rarest events, the one with the smallest key is taken. With a ``shift`` the passages are those of the mirror
+    images.
     """
     if many.itinerary.is_cycle:
         return _states_after(machines, many, _rarest(machines, many.itinerary, shift > 0.0))
@@ -196,7 +196,7 @@ def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0)
 def comparison_states(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
     """Return the physical states (N, K, 2d) that two orbits share if they are equal.
 
-    The states are those at sections; the states of cycles are those after all events.
+    The states are those at sections t = k T; the states of cycles without a force are those after all events.
     """
     if not many.itinerary.is_cycle:
         return states_at_sections(machines, many, shift)
@@ -215,7 +215,7 @@ def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -
 
 
 def _rarest(machines: OrbitMachines, itinerary: Itinerary, mirrored: bool) -> list[int]:
-    """Return the indices of the events of a cycle that take the place of sections, see ``states_at_sections``.
+    """Return the indices of the events of a cycle that take the place of sections t = k T, see ``states_at_sections``.
 
     With ``mirrored`` they are those of its mirror image.
     """

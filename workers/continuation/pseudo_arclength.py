@@ -122,7 +122,7 @@ def tangent_at(equations: ExtendedSystem, jacobian: Array, direction: Array) -> 
 def _as_unknowns(equations: ExtendedSystem, X: Array, other: ExtendedSystem, near: Array) -> Iterator[Array]:
     """Yield the solution X of one extended system as unknowns of another one, near the unknowns ``near`` in time.
 
-    There is one result for each event from which on the events and modes of both systems agree.
+    There is one result for each event from which on the sequences of events of both systems agree.
     """
     orbit, contacts, values = equations.orbit(X), equations.contacts(X), equations.values(X)
     lin, itinerary, times = equations.model(values), other.itinerary, other.orbit(near).times

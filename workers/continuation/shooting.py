@@ -54,9 +54,9 @@ share one."""
 
 
 class TurnPlan(NamedTuple):
-    """The properties of a turn that its itinerary alone determines.
+    """The properties of a turn that its itinerary, the sequence of events and linear equations, alone determines.
 
-    legs     legs, motions in one mode, each with the event at its end or NO_EVENT; the one before event 0 has no length
+    legs     motions between events, each with the event at its end or NO_EVENT; the one before event 0 has no length
     turning  events at which friction turns round, each with its signal and the mode in which the friction would stick
     codes    modes of the legs, and those in which friction that turns round would stick
     table    (L, PLAN) legs as ``turns_of_modes`` takes them
@@ -64,6 +64,8 @@ class TurnPlan(NamedTuple):
     signs    (m,) factors on the rates of signals that give them the signs of the events' labels
     impacts  True if all events are rebounds, with a flight from each to the next
     slows    True if friction begins to stick at any event
+
+    A mode is a set of linear equations; a signal is a number computed from the state that decides an event.
     """
 
     legs: tuple[tuple[Leg, int], ...]
@@ -77,15 +79,15 @@ class TurnPlan(NamedTuple):
 
 
 def plan_of(machines: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
-    """Return the legs and events of one turn of orbits with this itinerary, a sequence of events, for ``machines``."""
+    """Return the events and the motions between them in one turn of orbits with this itinerary, for ``machines``."""
     return _plan_of(itinerary, tuple(machines.elements.soft[0].tolist()))
 
 
 @lru_cache(PLANS)
 def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> TurnPlan:
-    """Return the legs and events of one turn of orbits with this itinerary, see ``plan_of``.
+    """Return the events and the motions between them in one turn of orbits with this itinerary, see ``plan_of``.
 
-    ``soft`` is 1 for each contact of the machines that is soft, else 0.
+    ``soft`` is 1 for each contact of the machines that is soft, else 0. An itinerary is a sequence of events.
     """
     m, chains = len(itinerary.sides), itinerary.chains
     legs = [(leg, NO_EVENT) for leg in chains[0]]
@@ -140,10 +142,10 @@ class TurnResult(NamedTuple):
 
 @dataclass(frozen=True)
 class OrbitMotion:
-    """The motions of N orbits of one itinerary with their machines.
+    """The motions of N orbits with one sequence of events, and their machines.
 
     lin        the machines
-    itinerary  events and modes
+    itinerary  the sequence of events, and the linear equations between them
     times      (N, m) times of the events
     start      (N, 2n) states before the first event; without events, at time 0
     """
@@ -166,7 +168,7 @@ class OrbitMotion:
 
     @cached_property
     def plan(self) -> TurnPlan:
-        """The legs, motions in one mode each, and events of a turn."""
+        """The events of a turn, and the motions between them."""
         return plan_of(self.lin, self.itinerary)
 
     @property
@@ -185,7 +187,7 @@ class OrbitMotion:
 
     @cached_property
     def ends(self) -> Array:
-        """Time (N, L) at which each leg, the motion in one mode, ends."""
+        """Time (N, L) at which each leg, the motion between two events or changes of phase, ends."""
         table, starts, period = self.plan.table, self.lin.elements.starts, 2.0 * math.pi / self.lin.omega
         times, events = np.empty((len(self.start), len(table))), table[:, EVENT] != NO_EVENT
         times[:, events] = self.times
@@ -202,7 +204,7 @@ class OrbitMotion:
 
     @cached_property
     def begins(self) -> Array:
-        """Time (N, L) at which each leg, the motion in one mode, begins."""
+        """Time (N, L) at which each leg, the motion between two events or changes of phase, begins."""
         first = self.times[:, :1] if self.itinerary.sides else np.zeros((len(self.start), 1))
         return np.concatenate([first, self.ends[:, :-1]], axis=1)
 
@@ -225,9 +227,10 @@ class OrbitMotion:
 
     @property
     def _least(self) -> Array:
-        """Rates (N, m) up to which signals of events count as constant: a change by their size in 1 / NO_RATE radians.
+        """Rates (N, m) up to which the numbers that decide events count as constant.
 
-        Friction that begins to stick at such a rate has f+ = R f-. Other events do not need these rates.
+        At such a rate a number changes by its size in 1 / NO_RATE radians of the force. Friction that begins to stick
+        at such a rate has f+ = R f-. Other events do not need these rates.
         """
         if not self.plan.slows:
             return np.zeros_like(self.times)
@@ -240,15 +243,16 @@ class OrbitMotion:
 
     @property
     def _rows(self) -> Array:
-        """Moduli (N, m, 2n) of the weights of states in the signals that reach ends of their ranges at events."""
+        """Moduli (N, m, 2n) of the weights of states in the numbers that decide the events, such as displacements."""
         modes, signals = self.plan.reached[:, MODE], self.plan.reached[:, SIGNAL]
         return np.abs(self.pieces.rows[:, modes, signals, : self.start.shape[1]])
 
     @property
     def forced_sizes(self) -> Array:
-        """Sizes (N, M) of the forced parts that are subtracted from states and guards and added again, with rounding.
+        """Sizes (N, M) of the forced parts of states and of the numbers that decide events.
 
-        With light damping or a low frequency the forced parts are far larger than the motion.
+        Forced parts are subtracted and added again, with rounding. With light damping or a low frequency they are far
+        larger than the motion.
         """
         pieces, (modes, signals) = self.pieces, self.plan.reached[:, [MODE, SIGNAL]].T
         blocks = np.abs(pieces.forced).sum(axis=(-2, -1)).reshape(*pieces.to_physical.shape[:-1], 1)
@@ -259,13 +263,13 @@ class OrbitMotion:
         """Return J_z (N, M, M): the equations linearised for perturbations that grow by z in a turn.
 
         The perturbations are those of states and times. z = 1 gives the Jacobian of the residuals of ``turn``. With
-        r'_i the rate of the signal that reaches event i, just before the event (v_i for an impact),
+        r'_i the rate of the number that decides event i, just before the event (v_i for an impact),
 
             det J_z = det(DP - z I) prod_i r'_i.
 
         The determinant is zero if z is a multiplier, and has no poles. A cycle has the multiplier 1. For z = 1 the
         length of its turn is unknown instead of the time of the first event. Its other multipliers are those of the map
-        of its section, det J_1 = -det(P - I) prod_i r'_i.
+        from one passage of that event to the next, det J_1 = -det(P - I) prod_i r'_i.
         """
         jacobian: Table = self.turn.tangents - z * self.turn.shifts
         if z == 1 and self.itinerary.is_cycle:
@@ -296,7 +300,8 @@ class OrbitMotion:
     def distance_to_end(self, signal: int, side: int, s: Array) -> list[Array]:
         """Return the distance (N, K) of a signal from an end of its range at times s (N, K), and its rate (N, K).
 
-        ``side`` is +1 for the upper and -1 for the lower end.
+        A signal is a number computed from the state, with an event at each end. ``side`` is +1 for the upper and -1 for
+        the lower end.
         """
         _, (value, rate, low, high) = self.states_at(s, signal)
         return [value - (high if side > 0 else low), rate]
@@ -305,7 +310,7 @@ class OrbitMotion:
         """Return the distance (N,) of a signal just after an event, such as a holding force, from an end of its range.
 
         event   index of the event
-        signal  number of the signal; that of friction is the force that holds it
+        signal  index of the signal, a number computed from the state; that of friction is the force that holds it
         side    +1 for the upper and -1 for the lower end
 
         If the friction does not stick there, the force is the one that would hold it.
@@ -336,7 +341,7 @@ class OrbitMotion:
 
     @property
     def n_zero_multipliers(self) -> int:
-        """Number of multipliers that are zero: the largest number of dimensions that a mode of the orbit lacks."""
+        """Number of multipliers that are zero: the largest number of dimensions that sticking removes on the orbit."""
         return int(max(self.lin.mode(leg.code).lost[0] for leg, _ in self.plan.legs))
 
     @cached_property

@@ -181,8 +181,9 @@ def _sticking(
     kind                (N,) kind of each machine
     omega               (N,) forcing frequencies
 
-    States are counted from rest. A load that no rest balances drives a rigid mode. States between impacts are then
-    counted from damped motion under that load, with constant velocities, which ``rest`` of the blocks removes.
+    ``Oscillator.sticking`` has the linear equations of motion while the mass sticks to a stop. States are counted from
+    rest. A load that no rest balances drives a rigid mode. States between impacts are then counted from damped motion
+    under that load, with constant velocities, which ``rest`` of the decoupled equations removes.
     """
     n, moves = machines.gap_row.shape[1], np.any(at_rest.loading.load)
     load, velocities = unbalanced(structure, at_rest, machines) if moves else (np.zeros_like(machines.load), None)

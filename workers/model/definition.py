@@ -309,9 +309,10 @@ def _names(entries: Any) -> set[str]:
 
 
 def _written(entries: Any) -> Any:
-    """Return entries of a definition (an expression, or records and tuples of expressions) in the form of a TOML file.
+    """Return entries of a definition in the form of a TOML file.
 
-    A record, or a tuple of pairs of a name and an entry, becomes a table. Empty entries of a record are left out.
+    An entry is an expression, or a dataclass or tuple of expressions. A dataclass, or a tuple of pairs of a name and an
+    entry, becomes a table. Empty entries of a dataclass are left out.
     """
     if isinstance(entries, Expression):
         return entries.text if entries.constant is None else entries.constant

@@ -25,9 +25,10 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     """Raise DefinitionError, in one line, unless the defaults make a valid machine.
 
     M is invertible. Phases begin in order within the period. For contacts 0 <= R <= 1; stiffness, damping and preload
-    are not negative; the lower stop is below the upper one. For friction 0 <= kinetic <= static. Rows are nonzero. They
-    are independent if they can stick together, and a force along a row moves it that way. Contacts see every free
-    motion, K x = 0, except the motion of a coordinate that may drift, which nothing ties down.
+    are not negative; the lower stop is below the upper one. For friction 0 <= kinetic <= static. Rows, the weights of
+    the coordinates at contacts and friction, are nonzero. They are independent if they can stick together, and a force
+    along a row moves it that way. Contacts see every free motion, K x = 0, except the motion of a coordinate that may
+    drift, which nothing ties down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
     for where, element, tables in definition.laws(defaults):
@@ -199,7 +200,7 @@ def _check_starts(starts: Array) -> None:
 
 
 def _check_independent(named: list[str], rows: Array) -> None:
-    """Raise DefinitionError if rows along which a machine can stick together are linearly dependent.
+    """Raise DefinitionError if rows, weights of coordinates that can stick together, are linearly dependent.
 
     named  keys of the definition that give the rows
     rows   (1, R, n) rows of rigid contacts and friction, zeros for other elements

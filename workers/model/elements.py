@@ -34,9 +34,9 @@ class Contact:
     """A contact with one or two stops on y = gap . x, lower <= y <= upper; a stop that is None does not exist.
 
     A rigid contact has a restitution R and turns y' into -R y'. A soft contact has none. At depth delta >= 0 beyond its
-    stop it pushes back along the gap row with the force preload + stiffness delta + damping delta'. Released by
-    "displacement", it pushes while delta > 0; released by "force", only while this force is positive. A law replaces
-    preload + stiffness delta by law(delta), see laws.py.
+    stop it pushes back along the row ``gap``, the weights of the coordinates, with the force preload + stiffness delta
+    + damping delta'. Released by "displacement", it pushes while delta > 0; released by "force", only while this force
+    is positive. A law replaces preload + stiffness delta by law(delta), see laws.py.
     """
 
     name: str
@@ -67,8 +67,9 @@ class Contact:
 class Friction:
     """Dry friction on the sliding velocity v = row . x' - belt.
 
-    While sliding, friction resists with the force kinetic + slope |v| along the row, or with law(|v|), see laws.py. It
-    sticks, v = 0, while the force needed is at most ``static``, by default kinetic or law(0).
+    While sliding, friction resists with the force kinetic + slope |v| along ``row``, the weights of the velocities, or
+    with law(|v|), see laws.py. It sticks, v = 0, while the force needed is at most ``static``, by default kinetic or
+    law(0).
     """
 
     name: str
@@ -84,7 +85,10 @@ class Friction:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring on y = row . x that pulls back along its row with the force law(y) at any y, see laws.py."""
+    """A spring on y = row . x that pulls back with the force law(y) at any y, see laws.py.
+
+    ``row`` has the weights of the coordinates x, along which the force acts.
+    """
 
     name: str
     row: Row

@@ -31,7 +31,7 @@ class OrbitMachines:
     rest      (N, 2n) physical state from which states and stops are counted
     make      function that builds a mode of all N machines
     describe  function that returns the matrices, contacts and friction of the machines, counted from rest
-    build     function that returns the machines in the form for the kernels of cells
+    build     function that returns the machines in the form for the compiled kernels of cells
     known     modes built so far
 
     A mode is a set of linear equations of motion between two events.
@@ -62,7 +62,7 @@ class OrbitMachines:
 
     @cached_property
     def oscillators(self) -> Oscillator:
-        """The machines in the form for the kernels of cells."""
+        """The machines in the form for the compiled kernels of cells."""
         return self.build()
 
     def at_rows(self, rows: Rows) -> "OrbitMachines":

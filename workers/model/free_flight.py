@@ -45,11 +45,11 @@ ULPS = 8.0
 class BlockFlow(NamedTuple):
     """Linear motion of N machines without a force, as decoupled equations of motion, the blocks.
 
-    modes         blocks of the matrices
+    modes         decoupled equations for the matrices
     inverse_mass  (N, n, n) M^-1
     blocks        (N, n, columns) constants of the blocks, see Block, without a load, with the metric of elastic blocks
 
-    Mass, damping, stiffness and the row of the guard, the signal that ends the motion, decide all fields.
+    Mass, damping, stiffness and the weights of the guard, the displacement that ends the motion, decide all fields.
     """
 
     modes: BlockDecomposition
@@ -106,8 +106,8 @@ class RestState(NamedTuple):
 def structure_of(machines: SingleContactMachines) -> FlightStructure:
     """Return the part of the free flight of machines that does not depend on the forcing frequency.
 
-    The guard, the signal that ends the flight, is the gap coordinate. An impact moves the velocities along M^-1 g /
-    (g.M^-1 g), with g the gap row.
+    The guard, the number whose ends of range end the flight, is the gap coordinate. An impact moves the velocities
+    along M^-1 g / (g.M^-1 g), with g the gap row.
     """
     return _structure_of(*(getattr(machines, name) for name in OF_STRUCTURE))
 
@@ -186,11 +186,13 @@ def loading_of(flow: BlockFlow, force: Any, load: Array) -> BlockLoading:
 
 
 def mode_of(flow: BlockFlow, loading: BlockLoading, omega: Array, direct: Any = 0.0) -> tuple[GuardedFlow, Mask]:
-    """Return the free flight of N machines as a mode with its guard, and the mask (N,) of undamped resonance.
+    """Return the linear equations of free flight of N machines, with their guard, and a mask (N,) of resonance.
 
     flow, loading  the decoupled equations of motion, and the force on them, see BlockFlow and BlockLoading
     omega          (N,) forcing frequencies
     direct         (N, H) complex amplitudes of e^(i k phi) that the guard has besides c . blocks
+
+    The guard is the number whose ends of range end the flight. Resonance is undamped.
     """
     N, H, n = loading.waves.shape[:3]
     w = omega[:, None] * np.arange(1.0, H + 1.0)
@@ -367,7 +369,7 @@ def balanced(machines: SingleContactMachines) -> Mask:
 
 
 def finite(record: Any) -> Mask:
-    """Return the mask (N,) of those rows of a record of N that hold finite numbers only."""
+    """Return the mask (N,) of N items whose numbers are all finite; ``record`` has arrays with a row for each item."""
     arrays = arrays_in(record)
     if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
         return np.ones(len(arrays[0]), dtype=np.bool_)
@@ -375,13 +377,13 @@ def finite(record: Any) -> Mask:
 
 
 def numbers_of(record: Any) -> Array:
-    """Return all numbers of a record of N as one array, a row (N, .) for each."""
+    """Return all numbers of N items as one array, a row (N, .) for each; ``record`` has arrays with N rows."""
     rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
     return np.concatenate(rows, axis=1)
 
 
 def arrays_in(record: Any) -> list[Array]:
-    """Return all arrays of a record, those of nested records included."""
+    """Return all arrays of a record, a named tuple of arrays and further records."""
     arrays = list[Array]()
     for field in record:
         if isinstance(field, tuple):

@@ -98,9 +98,10 @@ class HybridMachines(NamedTuple):
 
     @property
     def signals(self) -> Rows:
-        """Numbers (U,) of the signals, displacements or forces, that end a mode of any machine; at least one.
+        """Indices (U,) of the signals, displacements or forces, at whose ends a mode of any machine ends; at least one.
 
-        The numbers of a contact's signals are explained at ``hybrid_modes.SIGNALS``.
+        A mode is a set of linear equations. The indices of a contact's signals are explained at
+        ``hybrid_modes.SIGNALS``.
         """
         F = self.sizes[2]
         ends = np.stack([np.isfinite(self.stops).any(axis=(0, 2)), self.by_force.any(axis=0)], axis=1)  # (C, 2)
@@ -134,8 +135,8 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
 
     Lower stops must be below upper ones, and 0 <= R <= 1. Stiffness, damping and preload of a contact, and the slope of
     its law, must not be negative. Segments must be in order, 0 <= kinetic <= static, and starts must rise from 0 and
-    stay below 1. Rows that can stick together must be independent, see ``held_rows``. A force along a row must move it
-    that way, see ``yields``. Nothing may tie down a drifting coordinate.
+    stay below 1. Rows, weights of coordinates, that can stick together must be independent, see ``held_rows``. A force
+    along a row must move it that way, see ``yields``. Nothing may tie down a drifting coordinate.
     """
     lower, upper = machines.stops[..., 0], machines.stops[..., 1]
     reasons = np.full(len(machines.omega), NO_REASON, dtype=np.int8)
@@ -264,7 +265,11 @@ def held_rows(machines: HybridMachines) -> Array:
 
 
 def along_contacts(machines: HybridMachines) -> Array:
-    """Return (N, F, C): the factor a if the row of a friction is a times the row of a contact to rounding, else 0."""
+    """Return (N, F, C): the factor a if a friction's row is a times a contact's row to rounding, else 0.
+
+    A row has the weights of the coordinates in the displacement at a contact, or of the velocities in a sliding
+    velocity.
+    """
     (slide, wide), (row, high) = _scaled(machines.friction_rows), _scaled(machines.row)
     share = np.vecdot(slide[:, :, None], row[:, None]) / np.vecdot(row, row)[:, None]
     apart = np.max(np.abs(slide[:, :, None] - share[..., None] * row[:, None]), axis=-1)

@@ -75,7 +75,7 @@ FLYING = ModeCode(0, (OPEN,), ())
 
 
 def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> ModeCode:
-    """Return the code of the mode that ``number`` stands for, see ``ModeCode.number_of``.
+    """Return the code of the mode, a set of linear equations, that ``number`` stands for, see ``ModeCode.number_of``.
 
     contacts, slips          numbers of contacts and of frictions
     segments, slip_segments  maximum numbers of segments in their force laws
@@ -210,9 +210,9 @@ def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, 
 
 @np.errstate(all="ignore")
 def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """Return the mode with these structures, see ``structures_of``, at forcing frequencies (N,), and its faults (N,).
+    """Return a mode, a set of linear equations, at forcing frequencies (N,), and its faults (N,), see ``build_modes``.
 
-    The results are those of ``build_modes``.
+    ``groups`` has the rest of the equations, which does not depend on the frequency, see ``structures_of``.
     """
     if len(groups) == 1:
         return at_frequencies(groups[0][1], omega)
@@ -225,9 +225,9 @@ def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tu
 
 
 def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
-    """Return the part of a mode that does not depend on the forcing frequency, for machines with equal ``resting``.
+    """Return the linear equations of a mode without the effect of the forcing frequency, for equal ``resting``.
 
-    machines, code  the machines and the mode
+    machines, code  the machines and the mode, with phase, contacts and friction
     along           (N, F, C) see along_contacts
     resting         index of the sticking contact for each friction that sticks on the contact's row, see ``_resting``
     """
@@ -276,7 +276,10 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
 
 
 def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """Return the mode with this structure at forcing frequencies (N,), and its faults (N,), see ``build_modes``."""
+    """Return a mode, a set of linear equations, at forcing frequencies (N,), and its faults (N,), see ``build_modes``.
+
+    ``structure`` has the part of the equations that does not depend on the frequency.
+    """
     rows, to_blocks, to_physical = structure.rows, structure.to_blocks, structure.to_physical
     (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, structure.still.shape[1]
     moving, resonant = motion_in(structure.flow, structure.loading, omega)
@@ -342,7 +345,7 @@ def _signals(
 ) -> tuple[Array, Array, Array]:
     """Return weights (N, G, 2n + 1), force parts (N, G, H, 2) and ranges (N, G, 2) of the G signals of a mode.
 
-    machines, code  the machines and the mode
+    machines, code  the machines and the mode, a set of linear equations
     resting, along  see ``_resting`` and along_contacts
     multipliers     (N, r, 2n + 1) contact and friction forces along sticking rows, as weights of (x, v, 1), contacts
                     first
@@ -485,7 +488,7 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
 
 
 def null_space(G: Array) -> Array:
-    """Return orthonormal bases (N, n, n - r) of the null space of rows (N, r, n)."""
+    """Return orthonormal bases (N, n, n - r) of the null spaces of matrices G (N, r, n)."""
     if not G.shape[1]:
         return np.repeat(np.eye(G.shape[2])[None], len(G), axis=0)
     return np.ascontiguousarray(

@@ -29,7 +29,7 @@ RANGE_SHARE, LAW_ERROR = "_range_share", "_law_error"
 
 @dataclass(frozen=True)
 class OutputMeasure:
-    """An output row . x, row . x' or row . x'' that is measured, and the numbers to report of it.
+    """An output row . x, row . x' or row . x'' that is measured, and the numbers to report; row weights coordinates.
 
     displacement, velocity, acceleration  the row, on x, x' or x''; the other two are None
     weight                                factor of the power, None without that report
@@ -45,7 +45,7 @@ class OutputMeasure:
 
     @property
     def kind(self) -> str:
-        """The derivative that the row acts on, one of ORDERS."""
+        """The derivative of the displacements of which the output is a weighted sum, one of ORDERS."""
         return next(key for key in ORDERS if getattr(self, key) is not None)
 
     @property

@@ -42,7 +42,7 @@ from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
 
 class ContactElements(NamedTuple):
-    """Contacts and friction of N machines as kernels need them: fields of HybridMachines, and derived fields.
+    """Contacts and friction of N machines as compiled kernels need them: fields of HybridMachines, and derived fields.
 
     kick               (N, C, n) M^-1 g / (g M^-1 g), the direction of an impact, of each contact's row g
     weight             (N, C) 1 / (g M^-1 g) of each contact
@@ -71,7 +71,7 @@ class ContactElements(NamedTuple):
 
 
 def elements_of(machines: HybridMachines) -> ContactElements:
-    """Return the contacts and friction of machines as the kernels need them."""
+    """Return the contacts and friction of machines as the compiled kernels need them."""
     inverse_mass = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
 
     def along(rows: Array) -> Array:
@@ -118,7 +118,7 @@ class ModeTable(NamedTuple):
     machines: HybridMachines
 
     def without_modes(self, N: int) -> "ModeTable":
-        """Return the table of N machines with one rigid contact, which have no modes; see ``no_table``."""
+        """Return the table of N machines with one rigid contact, which has no room for modes; see ``no_table``."""
         return no_table(N)
 
     def build_missing(self, rows: Rows) -> Rows:
@@ -148,7 +148,10 @@ _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 
 @lru_cache(maxsize=64)
 def no_table(N: int) -> ModeTable:
-    """Return the table of N machines with one rigid contact, without modes; it must not be written to."""
+    """Return an empty table for N machines with one rigid contact; it is shared and must not be written to.
+
+    Only other machines have modes, sets of linear equations between two events.
+    """
     table: ModeTable = empty(_AXES, N)
     codes = np.zeros((N, 0), dtype=np.int64)
     return table._replace(codes=codes, wrong=codes.copy(), missing=np.full((N, 1), -1))
@@ -160,7 +163,7 @@ MODE_TABLE_SIZE = 64
 
 @np.errstate(all="ignore")
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
-    """Return machines with modes in the form for kernels, and codes (N,) of the reasons why one is invalid.
+    """Return machines with modes in the form for compiled kernels, and codes (N,) of the reasons why one is invalid.
 
     The code of a valid machine is NO_REASON. No mode, a set of linear equations between two events, is built yet.
     """

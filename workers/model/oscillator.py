@@ -194,7 +194,7 @@ def _plain(field: Array) -> Any:
 class OscillatorScalars(NamedTuple):
     """Numbers of an oscillator: the columns of Oscillator.head. Those that loops over many cells need come first.
 
-    top, bottom   the stops as the gap signal sees them, upper - y0 and lower - y0
+    top, bottom   stops of the gap counted from rest, upper - y0 and lower - y0
     R             coefficient of restitution
     cA2k          cA^2.k, minus the damping rate of the gap coordinate
     period        forcing period 2 pi / omega
@@ -202,7 +202,7 @@ class OscillatorScalars(NamedTuple):
     upper, lower  positions of the stops, infinite if missing
     symmetric     1 if z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
     gap_mass      1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
-    trace         trace of M^-1 C, the rate at which a flight contracts volume; with modes its mean over the phases
+    trace         trace of M^-1 C, the rate at which a flight contracts volume; its mean over phases if there are any
     growth        largest growth rate while nothing sticks, 0 if nothing grows
     """
 
@@ -332,7 +332,7 @@ class SingleContactMachines(NamedTuple):
     mass, damping, stiffness  (N, n, n) matrices
     gap_row, load             (N, n) row of the gap coordinate, and constant load
     force_sin, force_cos      (N, H, n) amplitudes of the force
-    omega, tau                (N,) forcing frequency, and forcing phase at a section
+    omega, tau                (N,) forcing frequency, and forcing phase at the sections t = k T
     upper, lower              (N,) stops; a stop at infinity does not exist
     R                         (N,) coefficient of restitution
 
@@ -359,22 +359,22 @@ class SingleContactMachines(NamedTuple):
 
 
 def empty(axes: Any, N: int) -> Any:
-    """Return a record of N rows without numbers: every axis after the first has length 0.
+    """Return a named tuple of arrays for N machines without numbers: every axis after the first has length 0.
 
-    ``axes`` is a record of the same kind with the number of axes of each field; None stays None.
+    ``axes`` is such a tuple with the number of axes of each field; None stays None.
     """
     return map_fields(axes, lambda count: np.zeros((N, *(0,) * (count - 1))))
 
 
 def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:
-    """Return a record with ``act`` applied to every field of ``record``, also in nested records; None stays None."""
+    """Return a named tuple with ``act`` applied to every field of ``record``, also in nested ones; None stays None."""
     if isinstance(record, tuple):
         return type(record)(*(map_fields(field, act) for field in record))
     return None if record is None else act(record)
 
 
 def at_rows(record: Any, rows: Rows) -> Any:
-    """Return a record with the rows ``rows`` of every array in ``record``, in this order."""
+    """Return a named tuple like ``record`` with only these rows of every array, in this order."""
 
     def take(record: Any) -> Any:
         return map_fields(record, lambda field: field.take(rows, axis=0))
@@ -387,14 +387,14 @@ def at_rows(record: Any, rows: Rows) -> Any:
 def take_one(oscillators: Any, k: int) -> Any:
     """Return oscillator k of a record of many oscillators.
 
-    Its arrays are views of those of all. If a kernel notes in them that a mode is missing, the table of all shows it
-    too.
+    Its arrays are views of those of all. If a kernel notes in them that a mode, a set of linear equations, is missing,
+    the table of all shows it too.
     """
     one: Any = map_fields(oscillators, lambda field: field[k] if field.ndim > 1 else float(field[k]))
     return one
 
 
 def many_of(record: Given) -> Given:
-    """Return one record as a record of many, with views of the same arrays."""
+    """Return one machine or motion as a record of many with a single row, with views of the same arrays."""
     many: Given = map_fields(record, lambda field: np.asarray(field)[None])
     return many

@@ -127,7 +127,10 @@ def read_springs(table: Mapping[str, Any], known: Collection[str], n: int) -> tu
 
 
 def check_element_count(*elements: Collection[Contact] | Collection[Friction] | Collection[Spring]) -> None:
-    """Raise DefinitionError if a machine with a law has too many elements for its modes to be numbered."""
+    """Raise DefinitionError if a machine with a force law has too many elements for its modes to be numbered.
+
+    A mode is a set of linear equations, one for each combination of the states of contacts and friction.
+    """
     laws = [element.law for kind in elements for element in kind]
     if any(law is not None for law in laws) and len(laws) > LAWFUL:
         raise DefinitionError(
