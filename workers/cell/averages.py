@@ -107,7 +107,7 @@ def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array
 
 
 def has_changed(cells: CellBatch, rows: Rows) -> Mask:
-    """Return the mask of cells whose motion has changed: earlier and current average differ by more than errors."""
+    """Return the mask of cells whose motion has changed: their two averages differ by more than the errors allow."""
     now, e = current_average(cells, rows), at_rows(cells.previous_average, rows)
     return np.asarray(np.abs(now.mean - e.mean) > CHANGED * np.hypot(now.error, e.error))
 

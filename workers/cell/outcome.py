@@ -34,7 +34,7 @@ REGIME_OF = np.array([reason.regime for reason in results.REASONS])
 
 
 def write_results(cells: CellBatch, rows: Rows, **values: Any) -> None:
-    """Write values of result variables of these cells, by name, as far as they are requested.
+    """Write result variables of these cells, given by name, if the settings ask for them.
 
     Cells whose regime is written have ended.
     """

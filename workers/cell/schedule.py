@@ -104,6 +104,8 @@ def none_of(rows: Rows) -> Mask:
 class AdaptiveSchedule:
     """N cells on their way through the stages of the schedule. Each stage is a method, called at an interval's end.
 
+    Watching is simulation without tangent vectors, to see if apparent chaos lasts.
+
     stage              (N,) SEARCHING, WARMING, AVERAGING or WATCHING
     interval           (N,) length of the next interval: forcing periods until the next decision
     transient_periods  (N,) forcing periods of the transient; NaN until estimated

@@ -1,7 +1,7 @@
-"""Admissibility of orbits: each leg, the motion in one mode, ends at its own event and at no other.
+"""Admissibility of orbits: each leg, the motion between two events, ends at its own event and at no other.
 
-The kernel finds the first event of each leg with certainty, without sampling. A mode is a set of linear equations; a
-signal is a number computed from the state, and an event occurs where a signal reaches an end of its range.
+The kernel finds the first event of each leg with certainty, without sampling. A signal is a number computed from the
+state, and an event occurs where a signal reaches an end of its range.
 """
 
 import math

@@ -372,9 +372,9 @@ def _corner(step: ContinuationStep) -> _StepOutcome:
 
 
 def _meeting(step: ContinuationStep) -> _StepOutcome | None:
-    """Return the outcome of a step on which a branch closes at the orbit from which it came.
+    """Return the outcome of a step on which a branch ends where it had left another one, at a doubled orbit.
 
-    Return None if the branch does not meet that orbit on the step.
+    The other orbit is of half the length, or symmetric. Return None if the branch does not reach it on the step.
     """
     to = halves_met(step)
     if to is None:

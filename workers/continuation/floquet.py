@@ -1,4 +1,4 @@
-"""Stability of an orbit: the multipliers of the map of one turn."""
+"""Stability of a periodic orbit: its Floquet multipliers, the eigenvalues of the map of one turn."""
 
 import numpy as np
 from numpy.typing import NDArray

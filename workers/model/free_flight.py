@@ -60,8 +60,8 @@ class BlockFlow(NamedTuple):
 class BlockLoading(NamedTuple):
     """Effect of force and load on the decoupled equations, the blocks, of N machines, for any forcing frequency.
 
-    waves       (N, H, n, 2) complex amplitudes of e^(i k phi) in (h, h')'
-    load, rest  (N, n), (N, n, 2) see oscillator.Block
+    waves       (N, H, n, 2) complex amplitudes of e^(i k phi) that the force adds to d/dt (h, h')
+    load, rest  (N, n), (N, n, 2) load of rigid motions, and (h, h') at rest, see oscillator.Block
     """
 
     waves: Any

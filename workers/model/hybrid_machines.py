@@ -286,8 +286,9 @@ def _scaled(rows: Array) -> tuple[Array, Array]:
 def yields(machines: HybridMachines) -> Mask:
     """Return the mask (N,) of machines in which a force along any row moves the row that way, g.M^-1 g > 0.
 
-    It must also hold while other rows stick. All principal minors of G M^-1 G' are then positive, with G the rows of
-    contacts and all rows that can stick. It holds for every symmetric, positive definite M.
+    A row g has the weights of the coordinates at a contact or friction. The condition must also hold while other rows
+    stick. All principal minors of G M^-1 G' are then positive, with G the rows of contacts and all rows that can stick.
+    It holds for every symmetric, positive definite M.
     """
     all_yield = definite(machines.mass).copy()
     (others,) = np.nonzero(~all_yield)
@@ -303,7 +304,10 @@ def definite(mass: Array) -> Mask:
 
 
 def _yield_along(machines: HybridMachines) -> Mask:
-    """Return the mask ``yields`` (N,), computed by the principal minors of G M^-1 G'."""
+    """Return the mask (N,) of machines in which a force along any row moves the row that way, see ``yields``.
+
+    It is computed by the principal minors of G M^-1 G', with G the rows of contacts and friction.
+    """
     closed = held_rows(machines)
     inverse = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
     singles = np.concatenate([machines.row, machines.friction_rows], axis=1)

@@ -343,15 +343,15 @@ def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
 def _signals(
     machines: HybridMachines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
 ) -> tuple[Array, Array, Array]:
-    """Return weights (N, G, 2n + 1), force parts (N, G, H, 2) and ranges (N, G, 2) of the G signals of a mode.
+    """Return the signals of a mode: weights (N, G, 2n + 1), force parts (N, G, H, 2) and ranges (N, G, 2).
 
     machines, code  the machines and the mode, a set of linear equations
     resting, along  see ``_resting`` and along_contacts
-    multipliers     (N, r, 2n + 1) contact and friction forces along sticking rows, as weights of (x, v, 1), contacts
-                    first
+    multipliers     (N, r, 2n + 1) contact and friction forces that make r displacements stick, as weights of (x, v, 1);
+                    contacts come first
     driven          (N, H, r) part of these forces that is the force itself
 
-    A signal is a number computed from (x, v, 1) and the force; an event occurs at each end of its range.
+    A signal is a sum of weighted (x, v, 1) and harmonics of the force; an event occurs at each end of its range.
     """
     p, (_, C, F), (N, H) = code.phase, machines.sizes, driven.shape[:2]
     n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of a single signal are those of the flow
@@ -412,15 +412,16 @@ def _reduced(
     D: Array,
     moves: Mask,
 ) -> tuple[BlockFlow, BlockLoading, Array, Array, Mask]:
-    """Return the equations of motion while rows G stick: (flow, loading, to_blocks, to_physical, undriven).
+    """Return the equations of motion while coordinates stick: (flow, loading, to_blocks, to_physical, undriven).
 
-    G      (N, r, n) sticking rows
+    G      (N, r, n) sticking rows: y = G x are the r displacements that stick
     D      (N, n, r) see ``_holding``
     moves  (N, r) mask of rows with a moving belt
 
     The results are the decoupled equations, the effect of force and load on them, the transformations (N, 2n, 2n) of
-    the states, and a mask (N,) of machines in which a belt drags at a motion without restoring force. With y = G x and
-    u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
+    the states, and a mask (N,) of machines in which a belt drags at a motion without restoring force. The motion is x =
+    D y + N q, N spanning the null space of G. With u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b =
+    -(N'KN)^-1 N'C (D + N a).
     """
     # Forces along the sticking rows, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 give
     # p = -(G M^-1 G')^-1 G M^-1 (f - C x' - K x). With D = M^-1 G' (G M^-1 G')^-1 is G D = 1 and N'M D = N'G' ... = 0,

@@ -127,9 +127,10 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
 
 
 def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[tuple[str, Variable]]:
-    """Yield (entry, variable) for results that tell how far the range of an expression's law was used.
+    """Yield (entry, variable) for results that say if a law given as an expression was used within its range.
 
-    The variables begin with the names of the elements. The largest argument of a contact's law is its penetration.
+    They are the largest argument, that argument as a share of the range, and the error bound. The variables begin with
+    the names of the elements. The largest argument of a contact's law is its penetration.
     """
     for element in elements:
         name, where, of = element.name, f"law of {element.name}", f"the law of {element.name}"

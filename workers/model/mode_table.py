@@ -44,7 +44,7 @@ from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 class ContactElements(NamedTuple):
     """Contacts and friction of N machines as compiled kernels need them: fields of HybridMachines, and derived fields.
 
-    kick               (N, C, n) M^-1 g / (g M^-1 g), the direction of an impact, of each contact's row g
+    kick               (N, C, n) M^-1 g / (g M^-1 g), the direction of an impact, g the weights of displacements
     weight             (N, C) 1 / (g M^-1 g) of each contact
     friction_kick      (N, F, n) as kick, of each friction's row
     static_is_kinetic  (N, P, F) 1 if static = kinetic, else 0

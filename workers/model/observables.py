@@ -120,7 +120,7 @@ class Observable:
 
     @property
     def modulus(self) -> float:
-        """Modulus of the values, infinity if they have none."""
+        """Modulus of the values if they are angles, 2 pi; infinity for other values."""
         return 2.0 * math.pi if self.kind == IMPACT_PHASE else math.inf
 
     @property

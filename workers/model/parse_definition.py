@@ -175,7 +175,11 @@ def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> 
 
 
 def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tuple[tuple[str, Expression], ...]:
-    """Return the names of ``let`` with their expressions, in the order of their use."""
+    """Return the entries of the table ``let``, names for expressions, each before the expressions that use it.
+
+    known     names that the expressions may use besides each other
+    reserved  names of parameters, which ``let`` may not define again
+    """
     table = read_table("system.let", value)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
