@@ -150,7 +150,7 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = matching.REFERENCE) -> tuple[Rows, Array]:
-        """Simulate motions over ``batches`` batches of periods; return those that reach no orbit, and statistics.
+        """Simulate motions over some batches of periods; return the motions that reach no orbit, and statistics.
 
         The statistics (rows, batches, 4n) are means, over each batch, of the states at t = k T and of their squares,
         see ``matching``.

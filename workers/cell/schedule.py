@@ -154,7 +154,7 @@ class AdaptiveSchedule:
         self.cells.set_interval(ready[length > 0], length[length > 0])
 
     def judge(self, through: Rows) -> None:
-        """Decide how each cell in ``through`` goes on, since it has reached the end of its interval of periods."""
+        """Decide how each cell in ``through`` continues, since it has reached the end of its interval of periods."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
         stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_RETURN, NEAR_LATER)

@@ -192,7 +192,7 @@ def _plain(field: Array) -> Any:
 
 
 class OscillatorScalars(NamedTuple):
-    """Numbers of an oscillator: the columns of Oscillator.head. Those that loops over many cells need come first.
+    """Numbers of an oscillator: the columns of Oscillator.head. The numbers that loops over many cells need come first.
 
     top, bottom   stops of the gap counted from rest, upper - y0 and lower - y0
     R             coefficient of restitution
