@@ -96,7 +96,7 @@ def solve_basins(
 def fixed_values(system: System, params: Mapping[str, Any]) -> dict[str, float]:
     """Return the parameters of the machine by name, with defaults for the components of its initial state.
 
-    All initial states of a plane thus give the same result.
+    All initial states of a plane of basins thus give the same result.
     """
     at_rest = {name: system.parameter(name).default for name in system.states}
     return {p.name: float(np.ravel(params.get(p.name, p.default))[0]) for p in system.parameters} | at_rest

@@ -104,7 +104,7 @@ class MonitoredPoint(NamedTuple):
 
 
 def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]:
-    """Return the solution point of unknowns X (N,), and the finite multipliers not fixed by the conditions."""
+    """Return the solution point at unknowns X (N,), and its finite multipliers that no condition fixes."""
     mu = multipliers(equations.motion(X))[0]
     others = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
@@ -118,7 +118,10 @@ def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]
 
 
 def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
-    """Return the test functions at unknowns X (N,) that solve the equations, which are bordered at X first."""
+    """Return the solution point at unknowns X (N,) with its test functions, numbers that change sign at events.
+
+    The equations, which X solves, are bordered at X first.
+    """
     equations = equations.rebordered(X)
     (point, others), motion, conditions = _point(equations, X), equations.motion(X), equations.conditions
     kind = conditions[0].kind if conditions else None
@@ -161,7 +164,7 @@ def touches(equations: ExtendedSystem, X: Array) -> list[Graze]:
 
 
 def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
-    """Return the name of an event with these conditions, one or two."""
+    """Return the name of an event whose orbit, symmetric or not, meets these conditions, one or two."""
     kinds = [condition.kind for condition in conditions]
     if ANGLE in kinds:
         return ANGLES[conditions[kinds.index(ANGLE)].kappa]
@@ -221,7 +224,7 @@ class Event(NamedTuple):
 
 
 class LocatedEvent(NamedTuple):
-    """An event and the ``share`` of the step at which it lies."""
+    """An event, and the share of a continuation step, from 0 to 1, at which it lies."""
 
     share: float
     event: Event
@@ -345,7 +348,7 @@ def solution(
 
 
 def event_of(square: ExtendedSystem, X: Array) -> Event:
-    """Return the event at unknowns X (N,) of a square system."""
+    """Return the event that a solution X (N,) of a square extended system describes."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
     conditions, symmetric, motion = square.conditions, square.itinerary.symmetric, square.motion(X)
     last = name_of(conditions[-1:], symmetric)

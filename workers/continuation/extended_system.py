@@ -179,11 +179,11 @@ class ExtendedSystem:
         return self.motion(X).orbits.at_rows(0)
 
     def residual(self, X: Array, _: Rows | None = None) -> Array:
-        """Return all equations (1, equations) at unknowns (1, N), exactly."""
+        """Return the residuals (1, equations) of all equations at unknowns (1, N), without differences."""
         return self._all(X, self.motion(X[0]))
 
     def with_jacobian(self, X: Array, _: Rows | None = None) -> tuple[Array, Array]:
-        """Return all equations (1, equations) and their derivatives (1, equations, N) at unknowns (1, N)."""
+        """Return the residuals (1, equations) at unknowns (1, N), and their derivatives (1, equations, N)."""
         N = X.shape[1]
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
@@ -300,8 +300,8 @@ class ExtendedSystem:
 def solve(equations: ExtendedSystem, X: Array, row: Array | None = None) -> NewtonResult:
     """Return the result of Newton's method from unknowns X (N,).
 
-    ``row`` (N,) is a direction in which nothing changes; it is needed if there is one unknown more than equations. The
-    result has not converged if ``newton`` fails or if there is no oscillator at the parameters.
+    ``row`` (N,) has the weights of a sum of the unknowns that stays constant; it is needed if there is one unknown more
+    than equations. The result has not converged if ``newton`` fails or if there is no oscillator at the parameters.
     """
     try:
         forced = equations.motion(X).forced_sizes

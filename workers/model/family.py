@@ -157,10 +157,10 @@ class _MachineFactory:
         return machines, self.system.out_of_range(values, reasons)
 
     def from_rest(self, values: Mapping[str, Array]) -> tuple[HybridMachines, Array]:
-        """Return the machines at values (N,) of each parameter, and ``rest`` (N, 2n), from which they are counted.
+        """Return machines with stops counted from a rest position, and the state of rest (N, 2n).
 
-        Machines with more elements than one rigid contact are counted from 0. Counting from a rest far from the origin
-        would cost digits, and hide that a motion is its own mirror image.
+        ``values`` (N,) are those of each parameter. Machines with more elements than one rigid contact are counted from
+        0. Counting from a rest far from the origin would cost digits, and hide that a motion is its own mirror image.
         """
         definition = self.system.definition
         if self.system.has_modes:

@@ -129,14 +129,14 @@ def _structure_of(
 
 
 def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
-    """Return the mask (N,) of machines in which a growing motion is invisible to all rows on (x, x').
+    """Return the mask (N,) of machines with a growing motion that leaves given displacements and velocities unchanged.
 
     blocks       (N, n, columns) decoupled equations, see Block
-    to_physical  (N, 2n, 2n) (x, x') of block coordinates
-    rows         (N, R, 2n) rows on (x, x')
+    to_physical  (N, 2n, 2n) (x, x') of states of the decoupled equations
+    rows         (N, R, 2n) weights of (x, x') in each displacement or velocity
 
-    The motion is h = e^(r s), h' = r h in one block. A row sees it if the sum of its terms is not small beside the sum
-    of their moduli.
+    The motion is h = e^(r s), h' = r h in one decoupled equation. A sum weighted by a row changes with it unless the
+    sum is small beside that of the moduli of its terms.
     """
     N, n = blocks.shape[:2]
     rates = rates_of(blocks)

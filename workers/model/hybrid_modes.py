@@ -468,7 +468,7 @@ def _reduced(
 def _seen_along(matrix: Array, across: Array, null: Array) -> Array:
     """Return N'A N of matrices A (N, n, n), zero where it is zero to rounding; ``across`` is N', ``null`` is N.
 
-    N spans the motions that do not stick. A dashpot along a sticking row moves nothing else.
+    N spans the motions that do not stick. A dashpot along a displacement that sticks moves nothing else.
     """
     seen = across @ matrix @ null
     terms = np.abs(across) @ np.abs(matrix) @ np.abs(null)
