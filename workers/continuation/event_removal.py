@@ -23,9 +23,9 @@ def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
 
 
 def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, float] | None:
-    """Return an orbit without one of its events, or without several at the same time.
+    """Return an orbit without one of its events, and without others at the same time if need be.
 
-    Several are dropped if only after them the mode, a set of linear equations, is that before the event. Also return
+    Others are dropped if only after them the linear equations of motion are again those before the event. Also return
     the leg (motion between two events) that began with the event, which becomes a graze, and the time of the graze.
     Return None if the remaining events are no orbit. ``span`` is the length of a turn.
     """

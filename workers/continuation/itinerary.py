@@ -1,4 +1,7 @@
-"""Itineraries: the events of an orbit in order, its length and its modes, which stay fixed along a branch."""
+"""Itineraries: the events of an orbit in order, its length, and the linear equations, or modes, between its events.
+
+An itinerary stays fixed along a branch.
+"""
 
 import math
 from collections import Counter

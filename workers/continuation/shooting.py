@@ -328,8 +328,8 @@ class OrbitMotion:
     def unknowns_along(self, change: Array) -> Array:
         """Return the change (N, 2n + m) of the unknowns that goes with a ``change`` (N, 2n) of the state.
 
-        The state is changed at the time of the first event. The state just before the event moves by f- with the
-        event's time.
+        The state is changed at the time of the first event. If the time of the event changes, the state just before the
+        event moves by f-, its rate of change there.
         """
         size, turn = change.shape[1], self.turn
         before, tangents = -turn.shifts[:, :size, size : size + 1], turn.tangents[:, size:]

@@ -72,10 +72,10 @@ class Expression:
         return _constant(_tree(self.text))
 
     def __call__(self, values: Mapping[str, Array]) -> Array:
-        """Return the values (N,) at values (N,) of each name, ``omega`` included.
+        """Return the values (N,) of the expression at values (N,) of each name, which must include ``omega``.
 
-        Division by zero or a root of a negative number gives infinity or NaN, as in numpy. Elements do not depend on
-        each other.
+        Division by zero or a root of a negative number gives infinity or NaN, as in numpy. Each of the N results
+        depends on its own values only.
         """
         return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
 

@@ -66,7 +66,7 @@ class OrbitMachines:
         return self.build()
 
     def at_rows(self, rows: Rows) -> "OrbitMachines":
-        """Return the machines of these rows, in this order. Modes are built for all machines once, and shared."""
+        """Return the machines of these rows, in this order; they share the modes, the linear equations, of all."""
         return OrbitMachines(
             self.omega[rows], self.tau[rows], at_rows(self.elements, rows), self.rest[rows],
             lambda code: at_rows(self.mode(code), rows), lambda: at_rows(self.machines, rows),
