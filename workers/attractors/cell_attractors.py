@@ -14,7 +14,7 @@ from workers.orbit.map import iterate, jacobian_of
 from workers.results import LOCKING, NO_IMPACT
 
 FIRST = np.zeros(1, dtype=np.int64)
-"""Index of the only row of a record of one machine."""
+"""Index of a machine that is alone in a batch."""
 
 LONGEST_KNOWN = 32
 """Longest orbit, in periods, with which motions are compared. Motions on longer orbits are solved in full before they

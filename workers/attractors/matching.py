@@ -36,9 +36,9 @@ NEAR_ORBIT = 1e-2
 ALONG = 256
 """Number of states along a cycle without a force, for pictures and for the distance of a motion from the cycle."""
 SAME_ATTRACTOR = 1e-6
-"""Largest distance of section states of equal orbits, relative to the motion's scale."""
+"""Largest distance between states at sections t = k T of equal orbits, relative to the motion's scale."""
 BATCH = 64
-"""Number of section states of a batch."""
+"""Number of states at sections t = k T whose mean is taken as one batch."""
 REFERENCE, FIRST_LOOK, SECOND_LOOK = 64, 16, 48
 """Number of batches of an attractor, of a motion compared with it, and of the same motion afterwards if it differs."""
 DIFFERENT = 5.0

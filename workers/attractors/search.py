@@ -34,7 +34,7 @@ WATCH_INTERVAL = 1024
 """Maximum number of periods for which a watched motion is simulated before it is looked at again."""
 
 MAX_MOTIONS, MIN_MOTIONS = 4096, 64
-"""Maximum and minimum number of motions searched together; the memory for section states decides between them."""
+"""Maximum and minimum number of motions searched together; the memory for their stored states decides between them."""
 
 
 def motions_at_once(settings: Settings, size: int) -> int:

@@ -47,7 +47,8 @@ from workers.results import (
 )
 
 NEAR_CYCLE = 1e-3
-"""Maximum distance of a return, relative to the motion, that may be the return of a cycle."""
+"""Maximum distance of a state from an earlier one, relative to the motion, at which the motion may have closed a cycle.
+"""
 
 STABLE = 1e-12
 """Minimum -ln|mu| of a multiplier mu that is certainly inside the unit circle, if its error is smaller."""

@@ -16,7 +16,7 @@ Results = dict[str, NDArray[Any]]
 """Result arrays (N, ...) by name."""
 
 RETURNS = 64
-"""Minimum number of returns of a motion that are known for each cell, for any ``max_period``."""
+"""Minimum number of states at sections t = k T that are stored of each motion, for any ``max_period``."""
 
 FAR = 1e6
 """Size from which on a growing motion counts as unbounded, relative to its start, its forced motion and the stops,
@@ -27,8 +27,8 @@ STEPS, SAME_STEP = 16, 1e-7
 and their minimum share of the sum."""
 
 CLOSING_DISTANCE, SAME_CYCLE = 1e-8, 1e-6
-"""Maximum distances, relative to the motion. CLOSING_DISTANCE: of a state on a cycle from its image after one turn, and
-of a motion on the cycle. SAME_CYCLE: of states, and of periods, of one cycle solved twice."""
+"""Maximum distances, relative to the motion. CLOSING_DISTANCE: from a state on a cycle to its image after one turn, and
+from a motion to the cycle that it is on. SAME_CYCLE: between states, and between periods, of one cycle solved twice."""
 
 WORK_PER_PERIOD, MIN_WORK = 200, 1_000_000
 """Number of evaluations allowed to a cell per period of its budget, and minimum for all periods together.

@@ -41,13 +41,14 @@ WINDOW = 256
 """Number of periods, from ``state`` on, over which motion without an orbit is measured."""
 
 WORK_PER_PERIOD = 2000
-"""Number of evaluations allowed per such period in addition to MIN_WORK; motion that costs more is not measured."""
+"""Number of evaluations allowed for each measured period, in addition to MIN_WORK; motion that costs more is not
+measured."""
 
 MACHINES_PER_BLOCK = 512
 """Number of machines measured together: each has a table of its modes."""
 
 KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
-"""Classes of motion with results for the machine."""
+"""Classes of motion for which the results that only this system has are computed."""
 
 MIRRORED = 1e-6
 """Maximum distance between a state and the mirror image of the state half an orbit later, as a share of both, on an

@@ -14,11 +14,12 @@ from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
 NEAR_RETURN = 1e-2
-"""Maximum distance of a return, relative to the motion's scale, that may lead to a stable orbit."""
+"""Maximum distance of a state from an earlier one, relative to the motion's scale, at which a stable orbit is sought.
+"""
 
 LONG_PERIOD, LONG_ORBIT_BATCH = 1000, 64
-"""Longest period sought if an average indicates an orbit; number of cells whose sections are stored for that together.
-"""
+"""Longest period sought if an average indicates an orbit; number of cells whose section states are stored together
+then."""
 
 
 def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Rows:

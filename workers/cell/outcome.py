@@ -30,7 +30,7 @@ from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orb
 from workers.orbit.newton import PeriodicOrbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
-"""Regime of cells by their reason."""
+"""Regime of a cell that ends for a reason, such as a failure, by the code of the reason."""
 
 
 def write_results(cells: CellBatch, rows: Rows, **values: Any) -> None:

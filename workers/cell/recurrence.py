@@ -8,8 +8,8 @@ from workers.cell.exponents import impact_count
 from workers.model.oscillator import COLUMN, Array, Mask, Rows
 
 FEWEST_HITS = 0.5
-"""Minimum number of impacts in an interval if impacts continue, as a share of the number expected from the impacts so
-far."""
+"""Minimum number of impacts in an interval of periods at which impacts count as continuing. The unit is the number
+expected from the impacts so far."""
 
 
 class Recurrence:

@@ -33,11 +33,11 @@ MIN_TRANSIENT, RELAXATIONS, MAX_TRANSIENT_SHARE = 256, 3.0, 0.25
 """The transient: minimum number of periods, number of relaxation times, and maximum share of max_periods."""
 
 NEAR_LATER = 1e-3
-"""NEAR_RETURN after the first interval. The motion has had time to come nearer, and chaos often returns within
-NEAR_RETURN itself, at the cost of a trial each time."""
+"""Maximum distance of a state from an earlier one, as NEAR_RETURN, after the first interval. The motion has had time to
+come nearer, and chaos often returns within NEAR_RETURN itself, at the cost of a trial each time."""
 
 WARM_UP = 64
-"""Periods in which the tangent frame aligns before its growth counts."""
+"""Number of periods in which tangent vectors align before their growth counts."""
 
 FIRST_AVERAGE = 192
 """Periods averaged before the average is first judged."""
@@ -53,7 +53,7 @@ MIN_WATCH = 256
 """Minimum number of periods of an interval of watching; each further one is half as long as the survival before it."""
 
 TORUS_LIMIT = 1e-5
-"""Maximum modulus of the weighted averages of two intervals that counts as zero."""
+"""Largest modulus of a weighted average of growth that counts as zero; two intervals must show it."""
 
 TORUS_RETURN = 1e-5
 """Minimum distance of the last RETURNS returns on a torus, relative to the motion's scale. With a nearer return the

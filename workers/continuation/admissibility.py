@@ -21,16 +21,17 @@ CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
 of order. HELD: friction that would stick where it slides, or cannot stick where it does."""
 
 VERTEX = "vertex"
-"""Kind of the event at which a motion touches a vertex of a law in segments."""
+"""Kind of the event at which a motion touches a vertex, the corner between two segments of a force law."""
 
 AT_ONCE = 1e-6
-"""Share of a period by which a certified event may differ from the event of the orbit; a shorter leg has no length."""
+"""Share of a period by which the first event found by the kernel may differ from the event of the orbit. A leg, the
+motion between two events, that is shorter has no length."""
 
 HOPS = 1e-3
 """Maximum change of the load during a chatter that is replaced by rest, as a share of the load."""
 
 NEAR_TOUCH = 1e-3
-"""Share of a period about a graze within which its signal is known to turn back."""
+"""Share of a period about a graze within which the number that touches an end of its range is known to turn back."""
 
 
 class AdmissibilityFault(NamedTuple):

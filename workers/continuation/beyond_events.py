@@ -59,9 +59,9 @@ OFFSETS = (1e-3, 1e-4, 1e-5, 1e-6)
 """Distances from an event, as shares of the window, at which the orbit beyond is sought: another event may be near."""
 
 CURVE_OFFSETS, CURVE_DEPTH = (1e-2, 1e-3, 1e-4, 1e-5), 1e-2
-"""Distances from an event along the curve of the change, as shares of the window, and distance from that curve. The
-latter is a share of the former, or of its square if the curve has a condition on multipliers: next to a fold an orbit
-moves with the square root of the parameters."""
+"""Distances from an event along the curve on which the event occurs, as shares of the window, and distance from that
+curve. The latter is a share of the former, or of its square if the curve has a condition on multipliers: next to a fold
+an orbit moves with the square root of the parameters."""
 
 SECOND_OFFSET = 0.25
 """Share of the distance from the event at which the orbit is recorded again: shows how the times of its events change.
@@ -71,7 +71,7 @@ HALVES_TOLERANCE = 1e-2
 """Share of a turn by which the halves of a symmetric orbit may differ if it is recorded next to its own parameters."""
 
 SAME_PARAMETER, SAME_STATE = 1e-8, 1e-6
-"""Maximum difference of the parameter, in widths of the window, and of section states, relative, of equal orbits."""
+"""Maximum difference between equal orbits: of the parameter, in widths of the window, and of their states, relative."""
 
 
 def is_continuous(equations: ExtendedSystem, event: Event) -> bool:

@@ -43,7 +43,8 @@ RESOLUTION, MAX_POINTS = 0.02, 2000
 """Longest step, as a share of the window; maximum number of points of either direction, which then ends with BUDGET."""
 
 MAX_BACK_POINTS = 200
-"""Maximum number of points for which an orbit beyond a change of itinerary is followed back to the change."""
+"""Maximum number of points for which an orbit beyond a change of its sequence of events is followed back to the change.
+"""
 
 MIN_STEP_SHARE = 1e-3
 """Shortest step, as a share of the longest, to which a step is reduced that went too far or slid onto another orbit."""

@@ -28,14 +28,14 @@ from workers.orbit.recorded_legs import mode_code_of_state
 
 HOPF, FOLD, BORDER = "hopf", "fold", "border"
 """Kinds of events. HOPF: a pair of exponents crosses the imaginary axis. FOLD: one exponent crosses 0. BORDER: the
-equilibrium ends, since contacts or friction have no mode in which it continues."""
+equilibrium ends, since contacts or friction have no state in which it continues."""
 
 OF_EQUILIBRIA = HOPF, FOLD, BORDER
 
 HELD = "found one of a continuum of equilibria at which friction sticks, must be an isolated equilibrium"
 
 MAX_MODES = 200
-"""Maximum number of modes that are tried for an equilibrium."""
+"""Maximum number of modes, sets of linear equations, that are tried for an equilibrium."""
 
 HALVINGS = 60
 """Number of halvings of a step that locate an event to rounding."""

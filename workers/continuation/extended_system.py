@@ -46,10 +46,10 @@ UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS, MEETS = (
     "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends", "meets",
 )  # fmt: skip
 """Conditions. UNIT: a multiplier is 1. MINUS_ONE: a multiplier is -1. PAIR: a pair has product 1. ANGLE: a pair has sum
-2 kappa. GRAZE: y = stop and y' = 0 at a contact time, or another signal touches an end of its range. SPEED: v_i = 0.
-CUSP: a fold without curvature. ONSET: the force that would hold friction where it turns round is at its static level.
-ENDS: the force that holds friction where it begins to stick is at its static level. MEETS: another signal reaches an
-end of its range at an event."""
+2 kappa. GRAZE: y = stop and y' = 0 at a contact time, or another signal (number computed from the state) touches an end
+of its range. SPEED: an event is reached at zero rate. CUSP: a fold without curvature. ONSET: the force that would hold
+friction where it turns round is at its static level. ENDS: the force that holds friction where it begins to stick is at
+its static level. MEETS: another signal reaches an end of its range at an event."""
 
 
 class Condition(NamedTuple):

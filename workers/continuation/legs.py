@@ -28,9 +28,10 @@ from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_O
 from workers.model.hybrid_modes import SIGNALS
 
 MODE, EVENT, SIGNAL, END, ACT, PLAN = range(6)
-"""Columns of a leg in the table of a turn's legs, the plan. MODE: index of its mode. EVENT: the event at its end,
-NO_EVENT if the phase changes or the turn ends. SIGNAL: signal that reaches an end there. END: which end, 0 for the
-lower one. ACT: act of the event on the velocity. PLAN: number of columns."""
+"""Columns of a leg (motion between two events) in the table of a turn's legs, the plan. MODE: index of its mode, the
+linear equations. EVENT: the event at its end, NO_EVENT if the phase changes or the turn ends. SIGNAL: the number
+computed from the state that reaches an end of its range there. END: which end, 0 for the lower one. ACT: act of the
+event on the velocity. PLAN: number of columns."""
 
 NO_EVENT = -1
 

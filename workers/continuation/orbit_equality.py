@@ -10,7 +10,7 @@ from workers.continuation.shooting import OrbitMotion
 from workers.model.oscillator import Array
 
 SAME_ORBIT = 1e-7
-"""Maximum difference of times, in radians of the force, and of speeds, relative, of equal orbits."""
+"""Maximum difference between equal orbits: of times, in radians of the force, and of speeds, relative."""
 
 
 def distance(one: Orbit, other: Orbit, omega: float) -> float:

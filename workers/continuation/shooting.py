@@ -40,17 +40,17 @@ from workers.model.hybrid_modes import OPEN, SIGNALS, HybridModes, ModeCode
 from workers.model.oscillator import Array
 
 Table = NDArray[Any]
-"""Real numbers, or complex numbers if z is complex."""
+"""Array of real numbers, or of complex numbers if the growth factor z is complex."""
 
 LEAST = 1e-3
 """Minimum size of a motion, as a share of the displacement of the masses by the force alone."""
 
 NO_RATE = 1e-9
-"""Rate of a signal, as a share of its size over one radian, that counts as 0."""
+"""Rate of a number that decides an event, as a share of its size over one radian of the force, that counts as 0."""
 
 PLANS = 256
-"""Maximum number of plans of turns, see ``TurnPlan``, in the cache. Itineraries are few, since all points of a branch
-share one."""
+"""Maximum number of plans of turns, see ``TurnPlan``, in the cache. Itineraries, sequences of events, are few, since
+all points of a branch share one."""
 
 
 class TurnPlan(NamedTuple):

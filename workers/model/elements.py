@@ -26,7 +26,7 @@ SegmentsOf = tuple[Row, ...] | Expression
 """A law as a table [[argument, force], ...] or as an expression of its argument."""
 
 Changes = tuple[tuple[str, tuple[tuple[str, Expression], ...]], ...]
-"""Constants changed by a phase, by the names of the element and of the constant."""
+"""Constants changed by a phase: pairs of an element's name and of (name of the constant, expression) pairs."""
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,8 @@ from workers.model.oscillator import (
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
 UNSEEN = 1e-9
-"""Share of a rigid mode or of a growing motion in the gap coordinate below which the gap does not see it. The share is
-relative to its largest possible value.
-"""
+"""Share of a rigid or growing motion in the gap coordinate below which the motion counts as leaving the gap unchanged.
+The share is relative to its largest possible value."""
 
 OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
 """Fields of SingleContactMachines that decide everything about free flight except the effect of the forcing frequency.

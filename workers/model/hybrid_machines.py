@@ -13,10 +13,10 @@ from workers.model.oscillator import Array, Mask, Rows, SingleContactMachines, a
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 INDEPENDENT = 1e-12
-"""Minimum singular value of independent rows of length 1."""
+"""Minimum singular value of independent rows, the weights of the coordinates scaled to length 1."""
 
 PARALLEL = 1e-12
-"""Relative deviation up to which a row counts as a multiple of another."""
+"""Relative deviation up to which a row, the weights of the coordinates, counts as a multiple of another row."""
 
 HALFWAY = 1e-12
 """Deviation from half a forcing period, as a share of a period, up to which two phases count as half a period apart."""

@@ -36,12 +36,12 @@ ZERO_SHARE = 1e-12
 """Largest share of the terms of a sum, or of the largest eigenvalue, that counts as rounding of zero."""
 
 NO_FORM, RESONANT = 1, 2
-"""Faults of a mode: no motion in closed form; undamped resonance. A mode without a fault has 0."""
+"""Faults of a mode, a set of linear equations: no motion in closed form; undamped resonance. A mode without a fault has
+0."""
 
 SIGNALS = 2
-"""Number of signals of a contact. The first is y, or the contact force while it sticks; the second is the force of a
-soft contact that is released by force.
-"""
+"""Number of signals of a contact, the numbers whose ends of range are events. The first is y, or the contact force
+while it sticks; the second is the force of a soft contact that is released by force."""
 
 
 class ModeCode(NamedTuple):
@@ -71,7 +71,7 @@ class ModeCode(NamedTuple):
 
 
 FLYING = ModeCode(0, (OPEN,), ())
-"""The mode of a machine with one rigid contact in free flight."""
+"""Code of the free flight of a machine with one rigid contact."""
 
 
 def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> ModeCode:

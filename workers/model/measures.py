@@ -14,7 +14,7 @@ MEASURES = 8
 """Maximum number of measures of a machine."""
 
 ORDERS = ("displacement", "velocity", "acceleration")
-"""Keys of a measure, by the derivative of the displacements that its row acts on."""
+"""Keys of a measure, by the derivative of the displacements of which it is a weighted sum."""
 
 REPORTS = {
     "mean": "mean", "rms": "root mean square", "peak": "greatest modulus", "power": "mean power",

@@ -143,7 +143,7 @@ class ModeTable(NamedTuple):
 
 _OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 3, 3, 2, 2, 4, 3])
 _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
-"""Numbers of axes of the fields of a table for many machines."""
+"""Number of axes of each field of a ModeTable, for many machines."""
 
 
 @lru_cache(maxsize=64)
@@ -158,7 +158,8 @@ def no_table(N: int) -> ModeTable:
 
 
 MODE_TABLE_SIZE = 64
-"""Maximum number of modes in the table of a machine; each segment of its laws adds two."""
+"""Maximum number of modes, sets of linear equations, in the table of a machine; each segment of its force laws adds
+two."""
 
 
 @np.errstate(all="ignore")

@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 Given = TypeVar("Given")
 Reasons = NDArray[np.int8]
 Rows = NDArray[np.int64]
-"""Indices of rows, or a mask of rows."""
+"""Indices of machines, motions or cells in arrays with a row for each, or a mask of them."""
 
 LARGEST_ANGLE = 3e7
 """Largest rotation, in radians of free oscillation per forcing period, for which elementary.sin_cos is exact."""

@@ -19,9 +19,8 @@ PHASES = 16
 SPRINGS = 4
 """Maximum number of springs with a law."""
 LAWFUL = 6
-"""Maximum number of contacts, springs and friction elements of a machine with a law: its mode numbers must fit a
-double.
-"""
+"""Maximum number of contacts, springs and friction elements of a machine with a force law: the numbers of its modes,
+the combinations of their states, must fit a double."""
 
 _SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact without a table
 _SOFT = (*PAD, "release", *LAW)
