@@ -70,7 +70,7 @@ def _contact(definition: Definition, c: int) -> str:
 
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
-    """Return the key of the definition whose value counts in phase p of the machine: the phase's own, or the machine's."""
+    """Return the key of the definition that counts in phase p of the machine: that of its phase, or of the machine."""
     p //= definition.pieces
     overridden = definition.phases and getattr(definition.phases[p], key) is not None
     return f"system.phases[{p}].{key}" if overridden else f"system.{key}"
