@@ -72,7 +72,7 @@ def test_a_branch_along_the_period_turns_where_the_one_along_omega_does() -> Non
     })  # fmt: skip
     found = atlas.branch(system=system, along="n", window=(60 * 0.9 / (2 * math.pi), 60 * 0.96 / (2 * math.pi)))
     events = found.events
-    (turn,) = events[events["kind"] == "period doubling"]["n"]
+    (turn,) = events[events["kind"] == "period_doubling"]["n"]
     assert turn == pytest.approx(60 * 0.915739816787582 / (2 * math.pi), rel=1e-11)
 
 

@@ -114,7 +114,7 @@ def _read_parameter(name: str, value: object, base: Parameter | None, starts: bo
 
 def with_formulas(parameters: Iterable[Parameter], definition: Definition) -> tuple[Parameter, ...]:
     """Return the parameters with the formulas of initial values in normal form, and their values at the defaults."""
-    states, found = {*definition.coordinates, *definition.velocities}, []
+    states, completed = {*definition.coordinates, *definition.velocities}, []
     known = [p.name for p in parameters if p.name not in states] + [name for name, _ in definition.let]
     known += [OMEGA] if definition.period else []
     defaults = {p.name: np.array([p.default]) for p in parameters}
@@ -126,8 +126,8 @@ def with_formulas(parameters: Iterable[Parameter], definition: Definition) -> tu
             if not np.isfinite(value):
                 raise DefinitionError(f"{where}: found {value:g} at the defaults, must be a finite number")
             parameter = replace(parameter, default=float(value), formula=formula.text if formula.names else "")
-        found.append(parameter)
-    return tuple(found)
+        completed.append(parameter)
+    return tuple(completed)
 
 
 def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:

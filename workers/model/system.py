@@ -225,8 +225,8 @@ class System:
         for parameter in self.parameters:
             if parameter.formula and parameter.name not in given:
                 flat = {name: grid.ravel() for name, grid in values.items()}
-                found = self.definition.value(Expression(parameter.formula), flat)
-                values[parameter.name] = found.reshape(grids[0].shape)
+                start = self.definition.value(Expression(parameter.formula), flat)
+                values[parameter.name] = start.reshape(grids[0].shape)
         return values
 
     def build(self, values: Mapping[str, float]) -> Any:
