@@ -128,8 +128,4 @@ def columns_of(
 def params_of(spec: Spec, slices: tuple[slice, ...] | None = None) -> dict[str, NDArray[np.float64]]:
     """Return the value (cells,) of every parameter in a block of cells, by default in all, in C order."""
     block = tuple(slice(0, n) for n in spec.shape) if slices is None else slices
-    cell_values, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
-    return {
-        p.name: np.broadcast_to(np.asarray(cell_values.get(p.name, p.default), dtype=np.float64), shape).ravel()
-        for p in spec.system_def.parameters
-    }
+    return {name: grid.ravel() for name, grid in spec.system_def.complete(spec.cell_params(block)).items()}

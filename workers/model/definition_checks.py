@@ -24,12 +24,18 @@ OF_EXPRESSION = ", within above 0 and the range around 0"
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """Raise DefinitionError, in one line, unless the defaults make a valid machine.
 
-    M is invertible. Phases begin in order within the period. For contacts 0 <= R <= 1; stiffness, damping and preload
-    are not negative; the lower stop is below the upper one. For friction 0 <= kinetic <= static. Rows are nonzero. They
-    are independent if they can stick together, and a force along a row moves it that way. Contacts see every free
-    motion, K x = 0, except the motion of a coordinate that may drift, which nothing ties down.
+    The period is above 0. M is invertible. Phases begin in order within the period. For contacts 0 <= R <= 1;
+    stiffness, damping and preload are not negative; the lower stop is below the upper one. For friction 0 <= kinetic <=
+    static. Rows are nonzero. They are independent if they can stick together, and a force along a row moves it that
+    way. Contacts see every free motion, K x = 0, except the motion of a coordinate that may drift, which nothing ties
+    down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
+    if definition.period:
+        omega, _ = definition.forcing(defaults)
+        if not (omega[0] > 0.0 and np.isfinite(omega[0])):
+            period = definition.value(definition.period, defaults)[0]
+            raise DefinitionError(f"system.period: found {period:g} at the defaults, must be above 0 and finite")
     for where, element, tables in definition.laws(defaults):
         _check_law(where, element, tables[0])
     many = definition.hybrid(defaults)
