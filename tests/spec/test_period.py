@@ -145,7 +145,7 @@ def test_the_schema_admits_a_period_and_expressions_as_defaults() -> None:
 
 WRONG = [
     ({"period": "T", "parameters": {"T": 1.0, "omega": 1.0, "b": 1.0}}, "system.parameters.omega: found beside system"),
-    ({"period": "S", "parameters": {"T": 1.0, "b": 1.0}}, "system.period: unknown name 'S'; an entry knows neither time"),
+    ({"period": "S", "parameters": {"T": 1.0, "b": 1.0}}, "system.period: unknown name 'S'; an entry knows neither"),
     ({"period": "omega", "parameters": {"b": 1.0}}, "system.period: unknown name 'omega'"),
     ({"period": "-b", "parameters": {"b": 1.0}}, "system.period: found -1 at the defaults, must be above 0 and finite"),
     ({"period": "1 / b", "parameters": {"b": 0.0}}, "system.period: found inf at the defaults, must be above 0 and"),
