@@ -251,7 +251,7 @@ def needs_reset(spread, more, limit):
 def impact_spread(ratio, unit, loss):
     """Return the largest spread of the frame, as a logarithm, by an impact with ratio = a / v.
 
-    The spread is at most 2 ln(1 + u) - ln R with u = |ratio| unit, where ``unit`` is the oscillator's time_unit. The
+    The spread is at most 2 ln(1 + u) + |ln R| with u = |ratio| unit, where ``unit`` is the oscillator's time_unit. The
     bound ln x < (x - 1) / sqrt(x) avoids the logarithms. ``loss`` is the value of ``loss_spread``.
     """
     u = abs(ratio) * unit
@@ -260,5 +260,5 @@ def impact_spread(ratio, unit, loss):
 
 @inlined
 def loss_spread(R):
-    """Return the contribution of the restitution to ``impact_spread``: at least -ln R."""
-    return (1.0 - R) / math.sqrt(max(R, TINY))
+    """Return the contribution of the restitution to ``impact_spread``: at least |ln R|."""
+    return abs(1.0 - R) / math.sqrt(max(R, TINY))
