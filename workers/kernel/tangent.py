@@ -264,8 +264,12 @@ def needs_reset(spread, more, limit):
 def impact_spread(ratio, unit, loss):
     """Return the largest stretch by an impact of some tangent vectors relative to others, as a logarithm.
 
-    """Return the contribution of the coefficient of restitution R to ``impact_spread``: at least |ln R|."""
-    return abs(1.0 - R) / math.sqrt(max(R, TINY))
+    ratio  a / v, acceleration by velocity of the gap coordinate just before the impact
+    unit   time_unit of the oscillator
+    loss   value of ``loss_spread``
+
+    The stretch is at most 2 ln(1 + u) + |ln R| with u = |ratio| unit. The bound ln x < (x - 1) / sqrt(x) avoids the
+    logarithms.
     """
     u = abs(ratio) * unit
     return 2.0 * u / math.sqrt(1.0 + u) + loss
