@@ -35,6 +35,7 @@ class Definition:
     phases    parts of the forcing period with entries of their own
     drift     the coordinate that may drift, empty if there is none
     measures  outputs of which numbers are reported, by name
+    period    the period 2 pi / omega; None if omega is a parameter
 
     The force repeats after ``turns`` periods 2 pi / omega, so its machines have the frequency omega / turns. A machine
     without a force and phases has neither omega nor tau, see ``natural_period``. ``table`` writes the entries in the
@@ -55,6 +56,7 @@ class Definition:
     drift: str = ""
     measures: Measures = ()
     springs: tuple[Spring, ...] = ()
+    period: Expression | None = None
 
     @property
     def stop(self) -> Contact:
@@ -201,6 +203,16 @@ class Definition:
         weights = evaluate_entries([measure.weight or np.nan for measure in every], named)
         return rows[:count], orders, weights.reshape(named[OMEGA].size, len(every))[:count]
 
+    @np.errstate(all="ignore")
+    def value(self, expression: Expression, values: Mapping[str, Array]) -> Array:
+        """Return an expression of parameters and names in ``let`` at values (N,) of each parameter."""
+        return expression(self._named(values))[: _count(values)]
+
+    def frequency(self, values: Mapping[str, Array]) -> Array:
+        """Return omega of a machine with a ``period``, at arrays of equal shape for the parameters of the period."""
+        assert self.period is not None
+        return np.asarray(2.0 * np.pi / self.period({OMEGA: next(iter(values.values()))} | dict(values)))
+
     def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
         """Return the values (N,) of all parameters and of all names in ``let``; a single value is doubled, N = 2.
 
@@ -212,6 +224,8 @@ class Definition:
         clocked = self.unforced and OMEGA not in named
         if self.unforced:
             named = dict.fromkeys((OMEGA, TAU), np.zeros(2 if alone else _count(values))) | named
+        if self.period:
+            named[OMEGA] = self.frequency(named)
         for name, expression in self.let:
             named[name] = expression(named)
         if clocked:
@@ -232,11 +246,11 @@ class Definition:
         names = set().union(*(_names(getattr(self, name)) for name in fields))
         for name, expression in reversed(self.let):
             names |= expression.names if name in names else set()
-        return names
+        return names | (self.period.names if self.period and OMEGA in names else set())
 
     def changes_with(self, names: Collection[str]) -> bool:
         """Return True if the machines, apart from forcing frequency and phase, depend on parameters of these names."""
-        return not self._used_outside("let", "measures").isdisjoint(names)
+        return not self._used_outside("let", "measures", "period").isdisjoint(names)
 
     @np.errstate(all="ignore")
     def forcing(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
