@@ -98,8 +98,8 @@ def fixed_values(system: System, params: Mapping[str, Any]) -> dict[str, float]:
 
     All initial states of a plane of basins thus give the same result.
     """
-    at_rest = {name: system.parameter(name).default for name in system.states}
-    return {p.name: float(np.ravel(params.get(p.name, p.default))[0]) for p in system.parameters} | at_rest
+    given = {name: float(np.ravel(value)[0]) for name, value in params.items() if name not in system.states}
+    return {name: float(value) for name, value in system.complete(given).items()}
 
 
 @lru_cache(maxsize=4)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.interval import batch_of, begin, has_ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
+from workers.model.hybrid_machines import feeds
 from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, at_rows
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
@@ -179,7 +180,8 @@ class CellBatch:
         )
         self.orbits = no_orbits(N, n)
         self.far_norm = np.full(N, np.inf)
-        grows = np.flatnonzero(oscillators.growth > 0.0)
+        fed = feeds(oscillators.table.machines) if oscillators.has_modes else oscillators.R > 1.0
+        grows = np.flatnonzero((oscillators.growth > 0.0) | fed)
         self.far_norm[grows] = FAR * sizes(at_rows(oscillators, grows), motions.h[grows]) if len(grows) else 0.0
         self.previous_average = GrowthAverage(
             np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N)

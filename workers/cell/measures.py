@@ -212,7 +212,7 @@ def _nothing_read(meters: MeasurePlan) -> MeasureTotals:
 def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals, span: Array) -> dict[str, Array]:
     """Return the results of the definition's measures by name.
 
-    weights   (N, M) factors of the power of each measure
+    weights   (N, M) weight of each of M measures, the factor of its mean square in its power
     readings  totals over each motion
     span      (N,) durations of the motions
     """

@@ -24,6 +24,7 @@ from workers.cell.interval import sections_from, stop_reasons
 from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
 from workers.kernel import motion
 from workers.kernel.cell_loops import impact_free, physical_states, reset_frames
+from workers.model.hybrid_modes import OPEN, code_of
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.escape import escaping
 from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orbits
@@ -120,6 +121,27 @@ def put_impact_free(cells: CellBatch, rows: Rows, h: Array) -> None:
     _put_orbits(cells, rows, oscillators, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)
 
 
+def _end_on_active_stops(cells: CellBatch, rows: Rows) -> Rows:
+    """Write the results of cells that stay on a rigid stop with R > 1, where every hop grows; return the others.
+
+    They have rested there from their start on, since no impact ends at rest.
+    """
+    numbers = cells.batch.motions.mode[rows, 0]
+    if cells.oscillators.has_modes:
+        machines = cells.oscillators.table.machines
+        (_, C, F), active = machines.sizes, (machines.R > 1.0) & (machines.soft == 0.0)
+        stays = np.zeros(len(rows), dtype=np.bool_)
+        for i in np.flatnonzero(active[rows].any(axis=1)).tolist():
+            states = np.array(code_of(int(numbers[i]), C, F, *machines.segments).contacts)
+            stays[i] = np.any(active[rows[i]] & (states != OPEN))
+    else:
+        stays = (cells.oscillators.R[rows] > 1.0) & (numbers != motion.FLIGHT)
+    if stays.any():
+        put_averaged(cells, rows[stays])
+        write_results(cells, rows[stays], regime=results.UNDETERMINED, error=math.nan, reason=results.AT_EQUILIBRIUM)
+    return rows[~stays]
+
+
 def put_periodic(cells: CellBatch, rows: Rows) -> None:
     """Write the results of cells with proved orbits. Impacts and rest are those of one turn; exponents are Floquet's.
 
@@ -127,6 +149,7 @@ def put_periodic(cells: CellBatch, rows: Rows) -> None:
     its exact value: if a stiff machine hits a stop slowly under a large load, the rounding error of one more turn is
     too small. Exponents of minus infinity are exact.
     """
+    rows = _end_on_active_stops(cells, rows)
     orbits = at_rows(cells.orbits, rows)
     orbits = orbits._replace(exponents=orbits.exponents[:, : cells.directions - cells.drifts])
     cells.periods_used[rows] += orbits.period

@@ -69,9 +69,9 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contrac
     contraction  change per period of the logarithm of volume in state space; unused for one rigid contact alone
 
     1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode of vibration between impacts; an impact reduces one of
-    the 2n squares in the energy. The result may be infinite. If a motion grows, eta is the smallest rate of growth or
-    decay. For other machines than those with one rigid contact, ``contraction`` shows, in place of R, the loss by all
-    contacts and frictions: without impacts at most one square per period.
+    the 2n squares in the energy, with R > 1 none. The result may be infinite. If a motion grows, eta is the smallest
+    rate of growth or decay. For other machines than those with one rigid contact, ``contraction`` shows, in place of R,
+    the loss by all contacts and frictions: without impacts at most one square per period.
     """
     period, freedoms = oscillators.period[rows], 2.0 * oscillators.gap_row.shape[1]
     if oscillators.has_modes:
@@ -81,7 +81,8 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contrac
     slow, fast = (np.abs(oscillators.gap.blocks[rows][..., column]) for column in (COLUMN.slow, COLUMN.fast))
     least = np.minimum(*(np.where(rate > 0.0, rate, np.inf) for rate in (slow, fast))).min(axis=-1)
     slowest = np.where(oscillators.growth[rows] > 0.0, least, slow.min(axis=-1))
-    return np.asarray(1.0 / (2.0 * slowest * period + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms))
+    lost = np.maximum(1.0 - oscillators.R[rows] ** 2, 0.0)
+    return np.asarray(1.0 / (2.0 * slowest * period + lost * hits / freedoms))
 
 
 def survival_share(relaxation: Array) -> Array:

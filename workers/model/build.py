@@ -23,7 +23,7 @@ from workers.model.free_flight import (
     structure_of,
     unbalanced,
 )
-from workers.model.hybrid_machines import along_contacts, with_one_contact
+from workers.model.hybrid_machines import GREATEST_R, along_contacts, with_one_contact
 from workers.model.hybrid_modes import (
     ON,
     RESONANT,
@@ -121,10 +121,10 @@ def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]
 def faults(machines: SingleContactMachines) -> NDArray[np.int8]:
     """Return the code (N,) of why a machine is invalid, as far as its fields alone show; NO_REASON if it is valid.
 
-    The lower stop must be below the upper one, 0 <= R <= 1, and all other fields must be finite.
+    The lower stop must be below the upper one, 0 <= R <= GREATEST_R, and all other fields must be finite.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
-    reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
+    reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= GREATEST_R))] = OUT_OF_RANGE
     others = [getattr(machines, name) for name in SingleContactMachines._fields if name not in NO_STOP]
     reasons[np.isnan(machines.upper) | np.isnan(machines.lower)] = OUT_OF_DOUBLES  # infinite stops are valid
     reasons[~finite(others)] = OUT_OF_DOUBLES

@@ -36,6 +36,7 @@ class Definition:
     phases    parts of the forcing period with entries of their own
     drift     the coordinate that may drift, empty if there is none
     measures  outputs of which numbers are reported, by name
+    period    the period 2 pi / omega; None if omega is a parameter
     within    error bound of coefficients that are expressions of PHASE; None if there are none
     steps     number of steps in each phase that replace them, see smooth.py; None if it is not known yet
 
@@ -58,6 +59,7 @@ class Definition:
     drift: str = ""
     measures: Measures = ()
     springs: tuple[Spring, ...] = ()
+    period: Expression | None = None
     within: float | None = None
     steps: int | None = None
 
@@ -222,6 +224,16 @@ class Definition:
         weights = evaluate_entries([measure.weight or np.nan for measure in every], named)
         return rows[:count], orders, weights.reshape(named[OMEGA].size, len(every))[:count]
 
+    @np.errstate(all="ignore")
+    def value(self, expression: Expression, values: Mapping[str, Array]) -> Array:
+        """Return an expression of parameters and names in ``let`` at values (N,) of each parameter."""
+        return expression(self._named(values))[: _count(values)]
+
+    def frequency(self, values: Mapping[str, Array]) -> Array:
+        """Return omega of a machine with a ``period``, at arrays of equal shape for the parameters of the period."""
+        assert self.period is not None
+        return np.asarray(2.0 * np.pi / self.period({OMEGA: next(iter(values.values()))} | dict(values)))
+
     def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
         """Return the values (N,) of all parameters and of all names in ``let``; a single value is doubled, N = 2.
 
@@ -233,6 +245,8 @@ class Definition:
         clocked = self.unforced and OMEGA not in named
         if self.unforced:
             named = dict.fromkeys((OMEGA, TAU), np.zeros(2 if alone else _count(values))) | named
+        if self.period:
+            named[OMEGA] = self.frequency(named)
         if self.within is not None:
             named |= {PHASE: np.zeros_like(named[OMEGA])}
         named = self._with_let(named)
@@ -261,11 +275,11 @@ class Definition:
         names = set().union(*(_names(getattr(self, name)) for name in fields))
         for name, expression in reversed(self.let):
             names |= expression.names if name in names else set()
-        return names
+        return names | (self.period.names if self.period and OMEGA in names else set())
 
     def changes_with(self, names: Collection[str]) -> bool:
         """Return True if the machines, apart from forcing frequency and phase, depend on parameters of these names."""
-        return not self._used_outside("let", "measures").isdisjoint(names)
+        return not self._used_outside("let", "measures", "period").isdisjoint(names)
 
     @np.errstate(all="ignore")
     def forcing(self, values: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -35,8 +35,8 @@ class Contact:
 
     A rigid contact has a restitution R and turns y' into -R y'. A soft contact has none. At depth delta >= 0 beyond its
     stop it pushes back along the row ``gap``, the weights of the coordinates, with the force preload + stiffness delta
-    + damping delta'. Released by "displacement", it pushes while delta > 0; released by "force", only while this force
-    is positive. A law replaces preload + stiffness delta by law(delta), see laws.py.
+    + damping delta'. Released by "displacement", it pushes while delta > 0, and its damping may be negative; released
+    by "force", only while this force is positive. A law replaces preload + stiffness delta by law(delta), see laws.py.
     """
 
     name: str

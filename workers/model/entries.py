@@ -7,8 +7,10 @@ from numbers import Real
 from reprlib import Repr
 from typing import Any
 
+import numpy as np
+
 from workers.model.expression import RESERVED, Expression, ExpressionError, parse
-from workers.model.parameter import unknown_name
+from workers.model.parameter import OMEGA, unknown_name
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 _short = Repr()
@@ -77,6 +79,14 @@ def read_number(where: str, value: object, valid_form: str = "must be a number",
     if math.isnan(number) or (math.isinf(number) and not infinite):
         raise DefinitionError(f"{where}: found {number!r}, must be a finite number")
     return number
+
+
+def read_constant(where: str, value: object, infinite: bool = False) -> float:
+    """Return the value, a number or an expression of numbers such as "2*pi", as a float, see ``read_number``."""
+    if isinstance(value, str):
+        with np.errstate(all="ignore"):
+            value = float(read_entries(where, value, ())({OMEGA: np.zeros(1)})[0])
+    return read_number(where, value, "must be a number or an expression in quotes", infinite)
 
 
 def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping[str, Any]:

@@ -12,6 +12,9 @@ from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import Array, Mask, Rows, SingleContactMachines, at_rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
+GREATEST_R = 2.0
+"""Maximum coefficient of restitution; above 1 a stop feeds in energy."""
+
 INDEPENDENT = 1e-12
 """Minimum singular value of independent rows, the weights of the coordinates scaled to length 1."""
 
@@ -133,17 +136,19 @@ def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array)
 def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     """Return the code (N,) of why a machine is invalid, as far as its numbers alone show; NO_REASON if it is valid.
 
-    Lower stops must be below upper ones, and 0 <= R <= 1. Stiffness, damping and preload of a contact, and the slope of
-    its law, must not be negative. Segments must be in order, 0 <= kinetic <= static, and starts must rise from 0 and
-    stay below 1. Rows, weights of coordinates, that can stick together must be independent, see ``held_rows``. A force
-    along a row must move it that way, see ``yields``. Nothing may tie down a drifting coordinate.
+    Lower stops must be below upper ones, and 0 <= R <= GREATEST_R. Stiffness and preload of a contact, its damping if
+    it is released by force, and the slope of its law, must not be negative. Segments must be in order, 0 <= kinetic <=
+    static, and starts must rise from 0 and stay below 1. Rows, weights of coordinates, that can stick together must be
+    independent, see ``held_rows``. A force along a row must move it that way, see ``yields``. Nothing may tie down a
+    drifting coordinate.
     """
     lower, upper = machines.stops[..., 0], machines.stops[..., 1]
     reasons = np.full(len(machines.omega), NO_REASON, dtype=np.int8)
     reasons[~yields(machines)] = NO_OSCILLATOR
     fine = (
-        (lower < upper) & (machines.R >= 0.0) & (machines.R <= 1.0),
-        machines.contact_constants >= 0.0,
+        (lower < upper) & (machines.R >= 0.0) & (machines.R <= GREATEST_R),
+        machines.contact_constants[..., ::2] >= 0.0,
+        (machines.contact_constants[..., 1] >= 0.0) | (machines.by_force == 0.0)[:, None],
         (machines.friction_constants[..., 0] >= 0.0)
         & (machines.friction_constants[..., 1] >= machines.friction_constants[..., 0]),
         ~np.isnan(machines.contact_laws[..., 0]),
@@ -200,7 +205,7 @@ def loses_nothing(machines: HybridMachines) -> Mask:
 def is_undriven(machines: HybridMachines) -> Mask:
     """Return the mask (N,) of machines whose energy never rises.
 
-    They have no force, phases or moving belts, and neither damping nor stiffness feeds in energy.
+    They have no force, phases or moving belts, and neither damping nor stiffness nor contacts feed in energy.
     """
     driven = [_any(machines.force_sin != 0.0), _any(machines.force_cos != 0.0), _any(machines.belt != 0.0)]
     fields = (
@@ -212,7 +217,12 @@ def is_undriven(machines: HybridMachines) -> Mask:
     )
     driven += [_any(field != field[:, :1]) for field in fields if machines.sizes[0] > 1]
     even = 0.5 * (machines.damping[:, 0] + machines.damping[:, 0].swapaxes(-1, -2))
-    return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(machines))
+    return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(machines) & ~feeds(machines))
+
+
+def feeds(machines: HybridMachines) -> Mask:
+    """Return the mask (N,) of machines with a contact that feeds in energy: R above 1, or negative damping."""
+    return np.asarray(_any(machines.R > 1.0) | _any(machines.contact_constants[..., 1] < 0.0))
 
 
 def _has_energy(machines: HybridMachines) -> Mask:

@@ -27,11 +27,12 @@ class Parameter:
     symbol     symbol in pictures, as mathtext
     unit       unit as text, "1" if there is none
     meaning    meaning in words
-    default    value if none is given
+    default    value if none is given; of an expression of other parameters, its value at their defaults
     low        lower bound of the valid range low <= value <= high
     high       upper bound of the valid range
     low_open   True if the lower bound itself is invalid
     high_open  True if the upper bound itself is invalid
+    formula    the expression of other parameters that is the default; empty for a number
     """
 
     name: str
@@ -43,6 +44,7 @@ class Parameter:
     high: float = math.inf
     low_open: bool = False
     high_open: bool = False
+    formula: str = ""
 
     @property
     def range(self) -> str:
@@ -65,7 +67,12 @@ class Parameter:
 
     def table(self) -> dict[str, Any]:
         """Return all fields except the name, as in a TOML file."""
-        entries = {"default": self.default, "symbol": self.symbol, "unit": self.unit, "meaning": self.meaning}
+        entries = {
+            "default": self.formula or self.default,
+            "symbol": self.symbol,
+            "unit": self.unit,
+            "meaning": self.meaning,
+        }
         for key, end, is_open in (("low", self.low, self.low_open), ("high", self.high, self.high_open)):
             if math.isfinite(end):
                 entries |= {key: end} | ({f"{key}_open": True} if is_open else {})

@@ -14,11 +14,11 @@ from workers.model.entries import (
     check_name,
     fault,
     name_taken,
+    read_constant,
     read_entries,
     read_flag,
     read_list,
     read_names,
-    read_number,
     read_table,
     read_text,
     read_words,
@@ -41,9 +41,9 @@ _GREEK = (
     "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Xi", "Sigma", "Phi", "Psi",
     "Omega",
 )  # fmt: skip
-_read_end = partial(read_number, infinite=True)
+_read_end = partial(read_constant, infinite=True)
 PARAMETER_KEYS: dict[str, Any] = {
-    "default": read_number, "low": _read_end, "high": _read_end, "low_open": read_flag, "high_open": read_flag,
+    "default": read_constant, "low": _read_end, "high": _read_end, "low_open": read_flag, "high_open": read_flag,
     "symbol": read_words, "unit": read_words, "meaning": read_words,
 }  # fmt: skip
 
@@ -54,20 +54,24 @@ def read_parameters(
     """Return all parameters of a table [system]: omega, the system's own, tau, then the initial values.
 
     The initial values are those of coordinates and velocities. Omega and tau of a force, and the initial values, need
-    no entry: the table may change their default, range and words. A single number is a default.
+    no entry: the table may change their default, range and words. A single number or expression is a default. With a
+    period there is no omega. The formulas of initial values are as written, see ``with_formulas``.
     """
     entries, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
     for name in (OMEGA, TAU) if unforced else ():
         if name in entries:
             raise DefinitionError(f"system.parameters.{name}: found in a machine without a force; give force too")
+    if OMEGA in entries and "period" in machine:
+        raise DefinitionError(f"system.parameters.{OMEGA}: found beside system.period, which decides it; leave one out")
     if len(entries) > MANY:
         raise DefinitionError(f"system.parameters: found {len(entries)}, must be at most {MANY}")
+    frequency = [] if unforced or "period" in machine else [OMEGA]
     of_force = [
         Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
         Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
     ]
     built_in = [
-        *([] if unforced else of_force),
+        *([] if unforced else of_force[1 - len(frequency) :]),
         *(Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates),
         *(
             Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
@@ -81,15 +85,20 @@ def read_parameters(
                 raise DefinitionError(f"{where}: an initial value has no range, since only the stops limit it")
     known = {parameter.name: parameter for parameter in built_in}
     added = [name for name in entries if name not in known]
-    parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
-    first = [] if unforced else [OMEGA]
-    return tuple(parameters[name] for name in (*first, *added, *list(known)[len(first) :]))
+    starts = {*coordinates, *velocities}
+    parameters = known | {
+        name: _read_parameter(name, one, known.get(name), name in starts) for name, one in entries.items()
+    }
+    return tuple(parameters[name] for name in (*frequency, *added, *list(known)[len(frequency) :]))
 
 
-def _read_parameter(name: str, value: object, base: Parameter | None) -> Parameter:
+def _read_parameter(name: str, value: object, base: Parameter | None, starts: bool) -> Parameter:
+    """Return a parameter; one that ``starts`` a motion has an expression as its formula, without a default."""
     where = f"system.parameters.{name}"
-    table = read_table(where, {"default": value} if isinstance(value, Real) else value, PARAMETER_KEYS)
+    table = dict(read_table(where, {"default": value} if isinstance(value, Real | str) else value, PARAMETER_KEYS))
     check_name(where, name)
+    if base is not None and starts and isinstance(table.get("default"), str):
+        base = replace(base, formula=table.pop("default"))
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
     read = {key: PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
@@ -103,6 +112,24 @@ def _read_parameter(name: str, value: object, base: Parameter | None) -> Paramet
     if not parameter.admits(parameter.default):
         raise DefinitionError(f"{where}.default: found {parameter.default:g}, must satisfy {parameter.range}")
     return parameter
+
+
+def with_formulas(parameters: Iterable[Parameter], definition: Definition) -> tuple[Parameter, ...]:
+    """Return the parameters with the formulas of initial values in normal form, and their values at the defaults."""
+    states, completed = {*definition.coordinates, *definition.velocities}, []
+    known = [p.name for p in parameters if p.name not in states] + [name for name, _ in definition.let]
+    known += [OMEGA] if definition.period else []
+    defaults = {p.name: np.array([p.default]) for p in parameters}
+    for parameter in parameters:
+        if parameter.formula:
+            where = f"system.parameters.{parameter.name}.default"
+            formula = read_entries(where, parameter.formula, known)
+            (value,) = definition.value(formula, defaults)
+            if not np.isfinite(value):
+                raise DefinitionError(f"{where}: found {value:g} at the defaults, must be a finite number")
+            parameter = replace(parameter, default=float(value), formula=formula.text if formula.names else "")
+        completed.append(parameter)
+    return tuple(completed)
 
 
 def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -137,7 +164,9 @@ def read_definition(
     # The initial state is not part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
     within, steps = _read_bound(table, parameters)
-    let = _read_let(table.get("let", {}), known if within is None else [*known, PHASE], parameters)
+    period = _read_period(table, known)
+    known += [] if period is None else [OMEGA]
+    let = _read_let(table.get("let", {}), known if within is None else [*known, PHASE], {*parameters, *known})
     moving = {PHASE} if within is not None else set()
     for name, expression in let:
         moving |= {name} if expression.names & moving else set()
@@ -167,6 +196,7 @@ def read_definition(
         drift=_read_drift(table.get("drift"), coordinates, is_unforced(table)),
         measures=read_measures(table.get("measures", {}), known, n),
         springs=springs,
+        period=period,
         within=within,
         steps=steps,
     )
@@ -181,7 +211,7 @@ def _read_bound(table: Mapping[str, Any], parameters: Collection[str]) -> tuple[
         if "steps" in table:
             raise DefinitionError("system.steps: found without within, the error bound that needs steps; give within")
         return None, None
-    within, steps = read_number("system.within", table["within"]), table.get("steps")
+    within, steps = read_constant("system.within", table["within"]), table.get("steps")
     if within <= 0.0:
         raise fault("system.within", within, "must be above 0, the largest error of a period as a share")
     phases = table.get("phases")
@@ -191,6 +221,16 @@ def _read_bound(table: Mapping[str, Any], parameters: Collection[str]) -> tuple[
     if PHASE in parameters:
         raise DefinitionError(f"system.parameters.{PHASE}: found beside within, where {PHASE} is 0 to 2 pi; rename it")
     return within, steps
+
+
+def _read_period(table: Mapping[str, Any], known: Collection[str]) -> Expression | None:
+    """Return the period 2 pi / omega as an expression of parameters; None if omega is a parameter itself."""
+    if "period" not in table:
+        return None
+    if is_unforced(table):
+        raise DefinitionError("system.period: found in a machine without a force; give force too")
+    period: Expression = read_entries("system.period", table["period"], known)
+    return period
 
 
 def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> str:

@@ -28,7 +28,7 @@ CONTACT_KEYS = ("name", *_SHORT, *_SOFT)
 FRICTION_KEYS = ("name", "row", *RUB, "belt", *LAW)
 PHASE_KEYS = ("start", "stiffness", "damping", "force", "cosine", "load", "contacts", "friction")
 _SAME = ("mass", "gap", "row", "upper", "lower")  # keys that are the same in all phases
-_LAWS = "a rigid contact has a restitution, a soft one a stiffness or law, damping, preload and release"
+_LAWS = "a rigid contact has a restitution, a soft one a stiffness, damping or law, preload and release"
 
 
 def read_contacts(
@@ -72,7 +72,7 @@ def _read_contact(where: str, value: object, known: Collection[str], n: int, smo
         return Contact(name, gap, restitution, upper, lower)
     if "restitution" in table:
         raise DefinitionError(f"{where}: found restitution and {soft[0]}; {_LAWS}")
-    if "stiffness" not in table and "law" not in table:
+    if not any(key in table for key in ("stiffness", "damping", "law")):
         raise DefinitionError(f"{where}: stiffness missing; {_LAWS}")
     law = _read_law(where, table, known, Contact, ("stiffness", "preload"))
     keys = ("damping",) if law else PAD

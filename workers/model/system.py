@@ -9,20 +9,27 @@ from textwrap import shorten
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.definition_checks import check_at_defaults
 from workers.model.elements import ALWAYS
-from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
+from workers.model.entries import DefinitionError, fault, read_constant, read_list, read_table, read_text
+from workers.model.expression import Expression
 from workers.model.measures import check_unambiguous, element_variables, law_variables, measure_variables
 from workers.model.mode_table import build_hybrid
 from workers.model.observables import Observable, observables_of
 from workers.model.oscillator import Array, take_one
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name, usual_values
-from workers.model.parse_definition import check_not_reserved, read_coordinates, read_definition, read_parameters
+from workers.model.parse_definition import (
+    check_not_reserved,
+    read_coordinates,
+    read_definition,
+    read_parameters,
+    with_formulas,
+)
 from workers.model.reserved_names import NAMES
 from workers.model.smooth import errors, fewest_steps
 from workers.model.toml_text import parse_toml, read_toml
@@ -47,12 +54,12 @@ PROSE = (*TEXTS, "axes")
 """Keys that affect no number."""
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
-    "cosine", "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
-    "springs", "measures", "within", "steps", "let", "parameters",
+    "cosine", "harmonics", "period", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases",
+    "drift", "springs", "measures", "within", "steps", "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000
 """Maximum version of a definition."""
-_PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all values and needs no default
+_PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all values, and needs only formulas
 
 
 @dataclass(frozen=True)
@@ -241,6 +248,23 @@ class System:
             )
         return dict(values) | {OMEGA: np.full_like(next(iter(values.values())), 2.0 * np.pi / cycle)}
 
+    def complete(self, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """Return every parameter, with its default if missing, as arrays of one shape.
+
+        A default with a formula is its value at the other parameters. Raise KeyError for an unknown name, and
+        ValueError for shapes that do not broadcast.
+        """
+        for name in given:
+            self.parameter(name)
+        grids = np.broadcast_arrays(*(np.asarray(given.get(p.name, p.default), np.float64) for p in self.parameters))
+        values = {p.name: grid for p, grid in zip(self.parameters, grids, strict=True)}
+        for parameter in self.parameters:
+            if parameter.formula and parameter.name not in given:
+                flat = {name: grid.ravel() for name, grid in values.items()}
+                start = self.definition.value(Expression(parameter.formula), flat)
+                values[parameter.name] = start.reshape(grids[0].shape)
+        return values
+
     def build(self, values: Mapping[str, float]) -> Any:
         """Return the oscillator at one value of each parameter; raise InvalidError, a ValueError, if it is invalid."""
         oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
@@ -267,6 +291,9 @@ class System:
         ``reasons``, why machines are invalid, changes in place.
         """
         admitted = [p.admits(values[p.name]) for p in self.parameters if p.name in values]
+        if self.definition.period:
+            omega, _ = self.definition.forcing(values)
+            admitted.append((omega > 0.0) & (omega < np.inf))
         reasons[~np.logical_and.reduce(admitted)] = OUT_OF_RANGE
         return reasons
 
@@ -281,6 +308,9 @@ class System:
         """Return the one-line error message for an unknown name; ``kind`` is the noun before the name."""
         if self.definition.unforced and name in (OMEGA, TAU):
             return f"{kind} {name!r}: system {self.name!r} has no force; leave this name out"
+        if self.definition.period and name == OMEGA:
+            period = self.definition.period.text
+            return f"{kind} {name!r}: in system {self.name!r} it is 2 pi / period, with the period {period}"
         return unknown_name(kind, name, [parameter.name for parameter in self.parameters])
 
     def table(self) -> dict[str, Any]:
@@ -328,7 +358,11 @@ def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
         return {key: resolved[key] for key in ("system", "system_version") if key in resolved}
     machine = {key: value for key, value in system.items() if key not in PROSE}
     machine["parameters"] = {
-        name: {key: value for key, value in table.items() if key not in _PARAMETER_PROSE}
+        name: {
+            key: value
+            for key, value in table.items()
+            if key not in _PARAMETER_PROSE or (key == "default" and isinstance(value, str))
+        }
         for name, table in system.get("parameters", {}).items()
     }
     return {"system": machine}
@@ -392,6 +426,7 @@ def _read(value: Mapping[str, Any], packaged: bool) -> System:
     names = [parameter.name for parameter in parameters]
     definition = read_definition(table, names, coordinates, velocities)
     check_at_defaults(definition, parameters)
+    parameters = with_formulas(parameters, definition)
     texts = {"title": name} | {key: read_text(f"system.{key}", table[key]) for key in TEXTS if key in table}
     axes = _read_axes(table.get("axes", {}), names)
     system = System(name, parameters, definition, version, packaged, axes, **texts)
@@ -408,7 +443,7 @@ def _read_axes(value: object, names: list[str]) -> tuple[tuple[str, float, float
         where = f"system.axes.{name}"
         if name not in names:
             raise DefinitionError(unknown_name("parameter in system.axes", name, names))
-        low, high = (read_number(where, end) for end in read_list(where, ends, 2, "numbers", ""))
+        low, high = (read_constant(where, end) for end in read_list(where, ends, 2, "numbers", ""))
         if not low < high:
             raise DefinitionError(f"{where}: found {low:g} and {high:g}, must rise")
         axes.append((name, low, high))
