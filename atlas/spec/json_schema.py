@@ -173,7 +173,7 @@ def _definition() -> Schema:
         "springs": _list(_element(SPRING_KEYS, [*SPRING_KEYS[:3]]), 0, SPRINGS),
         "phases": _list(_phase(row, matrix), 0, PHASES),
         "drift": _NAME,
-        "within": {**_NUMBER, **_POSITIVE},
+        "within": _ENTRY,
         "steps": {**_whole(STEPS, SMOOTH_PHASES // 2), "multipleOf": 2},
         "measures": _map(_measure(row), 0, MEASURES),
         "let": _map(_ENTRY, 0, MANY),
