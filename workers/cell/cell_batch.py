@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.interval import batch_of, begin, has_ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
+from workers.model.hybrid_machines import loses_nothing
 from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, at_rows
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
@@ -73,6 +74,13 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
     return energy_norms(metric, h) + energy_norms(metric, oscillators.gap.swing) + at_stops
 
 
+def is_conservative(oscillators: Oscillator) -> Mask:
+    """Return the mask (N,) of machines that lose nothing: no damping, R = 1, no friction."""
+    if oscillators.has_modes:
+        return loses_nothing(oscillators.table.machines)
+    return np.asarray((oscillators.R == 1.0) & np.all(oscillators.gap.eta == 0.0, axis=-1))
+
+
 class CellCycle(NamedTuple):
     """A cycle of a machine without a force.
 
@@ -133,6 +141,8 @@ class CellBatch:
     orbits            orbits of the cells that were proved to converge to one
     unforced          True for machines without a force, whose periods are natural periods
     cycles            proved cycles by row
+    conservative      (N,) True for machines that lose nothing, in which no motion attracts
+    starts            (N, 2n) physical states at the beginning
     far_norm          (N,) energy norm from which on a growing motion counts as unbounded; infinite for other motions
     """
 
@@ -153,8 +163,9 @@ class CellBatch:
         self.drifts = oscillators.drifts
         one = 2 if unforced else 1  # without a force one exponent is 0
         self.vectors = {"none": 0, "largest": one, "spectrum": 2 * n - self.drifts}[settings.exponents]
-        self.unforced, self.cycles = unforced, dict[int, CellCycle]()
+        self.unforced, self.cycles, self.starts = unforced, dict[int, CellCycle](), starts
         self.oscillators, self.settings, self.results = oscillators, settings, results
+        self.conservative = is_conservative(oscillators)
         motions, reasons = begin(oscillators, reasons, starts, mode, self.vectors)
         self.batch = batch_of(oscillators, motions, n_sections)
         without_frames = motions._replace(V=np.zeros((N, 0, n, 2)), growth=np.zeros((N, 0)))
