@@ -242,6 +242,7 @@ def describe(orbit: CellTrajectory) -> str:
         per = PER_TIME if orbit.system.definition.unforced else "per period"
         words.append(f"{cell['impacts_per_period']:.3g} impacts {per}")
     words += ["its period unknown"] if code == LOCKING else []
+    words += [f"repeats after {orbit.cycle:.6g}"] if code == REGULAR and orbit.cycle is not None else []
     if cell["sticks"]:
         how = "at rest on a stop" if np.isnan(cell["impacts_per_period"]) else "sticking"
         words.append(f"{how} {100 * cell['stuck_fraction']:.3g} % of the time")

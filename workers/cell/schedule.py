@@ -171,10 +171,14 @@ class AdaptiveSchedule:
         self.watching(rows[stage == WATCHING])
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells proved to converge to an orbit; return the others that are not known."""
+        """Write the results of cells proved to converge to an orbit; return the others that are not known.
+
+        To orbits of machines that lose nothing no motion converges.
+        """
         known = self.is_known(rows)
         self.cells.is_active[rows[known]] = False
-        return end_on_orbits(self.cells, rows[~known], budget, near)
+        end_on_orbits(self.cells, rows[~known & ~self.cells.conservative[rows]], budget, near)
+        return rows[self.cells.is_active[rows]]
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
         """Write the results of cells proved to converge to a long orbit; return the others."""
