@@ -108,7 +108,7 @@ _WITH_NUMBA = {
     "label_attractors": "atlas.service.labels",
     "measure_attractors": "atlas.service.measures",
 }
-"""Modules of the public names that load Numba; all other names are in ``atlas.api``, which loads without Numba."""
+"""Modules of the public names whose import loads Numba. All other public names are in ``atlas.api``, which does not."""
 
 
 register_accessor()
@@ -130,5 +130,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, without modules that happen to be loaded."""
+    """Return the public names for ``dir(atlas)``, without modules that happen to be loaded."""
     return __all__

@@ -1,4 +1,4 @@
-"""Registration of the accessor ``ds.atlas`` for xarray datasets, as soon as ``atlas`` and xarray are imported.
+"""Register the accessor ``ds.atlas`` of xarray datasets as soon as both ``atlas`` and xarray are imported.
 
 Loading xarray takes a while, so ``import atlas`` does not load xarray. If xarray is imported later, an import hook
 registers the accessor then.
@@ -12,7 +12,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 ENGINE = "atlas.xarray_engine"
-"""The module that registers the accessor when it is imported."""
+"""Name of the module that registers the accessor when it is imported."""
 
 
 def register_accessor() -> None:
@@ -29,7 +29,9 @@ class _AfterXarray(MetaPathFinder):
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of the module xarray, None for other modules; see ``importlib``."""
+        """Return the import spec of the module xarray, by which Python loads it; None for other modules. See
+        ``importlib``.
+        """
         if name != "xarray":
             return None
         others = (finder for finder in sys.meta_path if finder is not self)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class PlottableComparison(Comparison):
-    """A comparison with a method that draws the comparison."""
+    """The comparison of two atlases, with a method that draws it."""
 
     @accepts_options(ScaleOptions)
     def plot(self, path: str | Path | None = None, **look: Unpack[ScaleOptions]) -> "Figure":
@@ -50,27 +50,34 @@ class PlottableComparison(Comparison):
 
 
 class PlottableBranches(BranchTable):
-    """Branches with a method that draws the branches."""
+    """Branches of periodic orbits along a parameter, with a method that draws them."""
 
     @accepts_options(FigureOptions)
     def plot(self, path: str | Path | None = None, **look: Unpack[FigureOptions]) -> "Figure":
-        """Return a matplotlib Figure of section values over the parameter: stable parts solid, unstable ones dashed.
+        """Return a matplotlib Figure of the orbits' states over the parameter: stable branches solid, unstable ones
+        dashed.
 
-        A notebook shows the figure. It is also written to ``path`` if given: ``plot(width="85mm")``.
+        A state is taken once per forcing period. A notebook shows the figure. It is also written to ``path`` if given:
+        ``plot(width="85mm")``.
         """
         drawn: Figure = figure(self, path=path, **look)
         return drawn
 
 
 def _table(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
-    """Return a data frame of these rows."""
+    """Return a pandas data frame of rows, given as mappings by column."""
     import pandas as pd
 
     return pd.DataFrame(list(rows))
 
 
 def _series(values: Mapping[str, Any], name: str, index: str, kind: type) -> "pd.Series[Any]":
-    """Return a series of values by the words of its index."""
+    """Return a pandas series of values by name.
+
+    name   name of the series
+    index  name of its index
+    kind   type of the values
+    """
     import pandas as pd
 
     return pd.Series(list(values.values()), pd.Index(list(values), name=index, dtype=object), kind, name)
@@ -94,7 +101,8 @@ class AtlasAccessor:
         return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its methods>"
 
     def at(self, given: "Mapping[str, ArrayLike] | None" = None, /, **points: "ArrayLike") -> xr.Dataset:
-        """Return all results of the cells nearest to points, and their distances: ``at(omega=[3, 3.5], b=0.15)``.
+        """Return all results of the cells nearest to points, and the distances of the points: ``at(omega=[3, 3.5],
+        b=0.15)``.
 
         Lists give the dimension ``point``. In an atlas of all attractors the results have the dimension ``attractor``.
         See ``queries.nearest_cells``.
@@ -102,14 +110,14 @@ class AtlasAccessor:
         return query.nearest_cells(self._whole, given_values(given, points))
 
     def is_(self, *regimes: str) -> xr.DataArray:
-        """Return the mask of the cells of these regimes: ``ds.largest.where(ds.atlas.is_("chaotic"))``.
+        """Return the mask of the cells that have one of these regimes: ``ds.largest.where(ds.atlas.is_("chaotic"))``.
 
         ``ds.regime`` itself holds codes. See ``queries.is_regime``.
         """
         return query.is_regime(self._whole, regimes)
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
-        """Return the atlas with the results of all other regimes masked: ``where_regime("chaotic")``.
+        """Return the atlas with all cells masked that have none of these regimes: ``where_regime("chaotic")``.
 
         See ``queries.where_regime``.
         """
@@ -144,7 +152,10 @@ class AtlasAccessor:
     def labels(
         self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
     ) -> xr.DataArray:
-        """Return the label of the region of each cell, 0 if it is in none. See ``connected_regions.labels``."""
+        """Return an array with the number of the connected region of each cell, 0 if it is in none.
+
+        The arguments are those of ``regions``. See ``connected_regions.labels``.
+        """
         return connected_regions.labels(self._ds, by, value, window, min_cells)
 
     def basin_measures(self, window: Window | None = None) -> xr.Dataset:
@@ -155,7 +166,8 @@ class AtlasAccessor:
         return basin_measures(self._ds, window)
 
     def boundary(self, regime: str, other: str | None = None, window: Window | None = None) -> "pd.DataFrame":
-        """Return the lines between a regime and another one, or any other: ``boundary("chaotic", "periodic")``.
+        """Return the lines between the cells of a regime and those of another, or of any other: ``boundary("chaotic",
+        "periodic")``.
 
         Each row is a point of a line, with the regimes on both sides. See ``queries.boundary``.
         """
@@ -166,7 +178,7 @@ class AtlasAccessor:
         return query.per_unit_time(self._ds)
 
     def curves(self, kind: str | None = None) -> CurveFrames:
-        """Return the curves that ``atlas find curves`` found, of one kind or all: ``curves("fold").points``.
+        """Return tables of the curves that ``atlas find curves`` found, of one kind or all: ``curves("fold").points``.
 
         ``points`` has a row for each point of a curve, ``corners`` for each point of codimension two. See
         ``atlas.orbits.curves.queries.to_frames``.
@@ -176,7 +188,7 @@ class AtlasAccessor:
     def distance_to(
         self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float
     ) -> "pd.DataFrame":
-        """Return the distances of an operating point to events of its orbit.
+        """Return the distances of an operating point to the nearest bifurcations and grazes of its orbit.
 
         ``distance_to(omega=3, b=0.15, kind="fold")``. The rows are the first events along each axis in both directions,
         of one kind or any, the nearest first. See ``atlas.orbits.curves.distance.distance_to``.
@@ -186,7 +198,7 @@ class AtlasAccessor:
         return _table(distance_to(self._ds, kind, given_values(given, point)))
 
     def compare(self, other: xr.Dataset, window: Window | None = None) -> PlottableComparison:
-        """Return the comparison of this atlas with another one of the same axes.
+        """Return the comparison of this atlas with another atlas of the same axes.
 
         The comparison has ``difference``, ``regimes``, ``numbers`` and ``plot()``. See ``compare.Comparison``.
         """
@@ -204,9 +216,10 @@ class AtlasAccessor:
         observe: str | None = None,
         **point: float,
     ) -> PlottableBranches:
-        """Return the branch of the orbit of the cell nearest to a point.
+        """Follow the periodic orbit of the cell nearest to a point along one parameter, stable and unstable.
 
-        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See ``atlas.branch``.
+        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See ``atlas.branch``,
+        also for the result.
         """
         seed = seed_of_cell(self._ds, given_values(given, point))
         observable = observed_of(seed, observe)
@@ -248,7 +261,8 @@ class AtlasAccessor:
         port: int = 0,
         host: str = "127.0.0.1",
     ) -> "ExplorerSession":
-        """Open a page that shows this atlas anywhere, at any depth; a notebook shows the page in place.
+        """Open a page in the browser that shows any part of this atlas at any zoom level; a notebook shows the page in
+        place.
 
         ``stop()`` of the result closes the page. The address of the page has a token; only those who have the token can
         open the page.
@@ -283,11 +297,11 @@ class AtlasAccessor:
     def portrait(
         self, given: Mapping[str, float] | None = None, /, *, path: str | Path | None = None, **point: Any
     ) -> "Figure":
-        """Return the portrait of the cell nearest to a point, solved anew with its settings.
+        """Return a figure of the motion of the cell nearest to a point, solved anew with the atlas's settings.
 
-        In an atlas of all attractors the portrait shows the attractor with the largest share, or the selected one. The
-        result is a matplotlib Figure, which a notebook shows. It is also written to ``path`` if given:
-        ``portrait(omega=3, b=0.15, width="85mm")``. See ``atlas.portrait``.
+        In an atlas of all attractors it shows the attractor with the largest share, or the selected one. The result is
+        a matplotlib Figure, which a notebook shows. It is also written to ``path`` if given: ``portrait(omega=3,
+        b=0.15, width="85mm")``. See ``atlas.portrait``.
         """
         look, named = split_look(point)
         for name in named:

@@ -78,7 +78,8 @@ def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any]
 
 
 def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
-    """Return the cost of a spec: cells, tiles, bytes and, with ``probe``, the time, which is measured on a few cells.
+    """Return the plan of a spec: its cells, tiles, bytes and, with ``probe``, the time, which is measured on a few
+    cells.
 
     ``workers`` is the number of workers of the run, by default one per processor. Raise atlas.errors.InputError if a
     tile is too large for a store.
@@ -128,10 +129,10 @@ def branch(
 
     parameters        parameters other than the defaults, as a mapping, or by name: ``omega=4.0``
     along             name of the parameter that varies
-    window            (low, high) of the parameter ``along``
+    window            (low, high) limits of the parameter ``along``
     system            name, definition or ``System`` of the machine
     settings          settings with which the cell is solved
-    switch_branches   whether branches from symmetry breakings and period doublings are followed too, and further
+    switch_branches   True to follow also branches from symmetry breakings and period doublings, and further
                       branches from these
     budget            maximum number of branches; ``untried`` of the result lists the events that remain
     observe           an observable, such as "impact_phase:stop", whose values the points and pictures show too

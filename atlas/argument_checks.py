@@ -23,7 +23,10 @@ def is_integer(value: object, kind: type = int) -> bool:
 
 
 def validate_interval(name: str, value: object) -> tuple[float, float]:
-    """Return (low, high) as floats, which may be infinite and in any order. Raise InputError for any other value."""
+    """Return an argument that must be a pair (low, high) as two floats, which may be infinite and in any order.
+
+    Raise InputError for any other value.
+    """
     ends = _items(value)
     if len(ends) == 2 and all(isinstance(end, Real) and not isinstance(end, bool) for end in ends):
         with suppress(OverflowError):
@@ -34,7 +37,10 @@ def validate_interval(name: str, value: object) -> tuple[float, float]:
 
 
 def validate_window(value: object) -> Window:
-    """Return a window with validated limits; empty if ``value`` is None. The names of the axes are not checked."""
+    """Return the limits of axes, checked, from an argument by axis name; empty if ``value`` is None.
+
+    The names of the axes are not checked.
+    """
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -43,7 +49,7 @@ def validate_window(value: object) -> Window:
 
 
 def validate_pixels(value: object) -> tuple[int, int] | None:
-    """Return the size of a plot in pixels, (x, y); None if ``value`` is None."""
+    """Return an argument with the size of a plot in pixels as integers (x, y); None if ``value`` is None."""
     sizes = _items(value)
     if value is None:
         return None
@@ -54,24 +60,27 @@ def validate_pixels(value: object) -> tuple[int, int] | None:
 
 
 def validate_path(value: object, name: str = "path") -> Path:
-    """Return a path on this host; a ``~`` at the beginning is replaced by the user's home."""
+    """Return an argument as a path on this host; a ``~`` at the beginning is replaced by the user's home."""
     if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str):
         return Path(os.path.expanduser(value))
     raise InputError(f"{name}: found {brief_repr(value)}, must be a path")
 
 
 def check_name(name: str, value: object) -> None:
-    """Raise InputError unless ``value`` is a string."""
+    """Raise InputError, naming the argument ``name``, unless ``value`` is a string."""
     validate_type(name, value, str, "a name")
 
 
 def validate_flag(name: str, value: object) -> bool:
-    """Return ``value`` as a bool. Raise InputError for anything but True and False."""
+    """Return the argument ``name`` as a bool. Raise InputError for any value but True and False."""
     return bool(validate_type(name, value, bool | np.bool_, "True or False"))
 
 
 def validate_type(name: str, value: T, kind: Any, valid_form: str) -> T:
-    """Return ``value`` if its type is ``kind`` or in a union; else raise InputError with the text ``valid_form``."""
+    """Return ``value`` if it is an instance of ``kind``, a type or a union of types.
+
+    Else raise InputError with the text ``valid_form``.
+    """
     if not isinstance(value, kind):
         raise InputError(f"{name}: found {brief_repr(value)}, must be {valid_form}")
     return value

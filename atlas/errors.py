@@ -14,10 +14,12 @@ REBUILD_COMMANDS = {
     "labels": "atlas attractors label",
     "stability": "atlas attractors measure",
 }
-"""Commands that rebuild a damaged group of a store, by group; ``atlas run`` rebuilds all other groups."""
+"""Commands that rebuild a damaged group of a store, by the name of the group; ``atlas run`` rebuilds all other
+groups.
+"""
 
 REPACK_HINT = "pack the atlas again"
-"""Remedy for a damaged zip file."""
+"""Advice in messages about a damaged zip file."""
 
 _short = reprlib.Repr()
 _short.maxstring = _short.maxlong = _short.maxother = 60
@@ -35,15 +37,15 @@ class RunError(RuntimeError):
 
 
 class NetworkError(OSError):
-    """A store at a URL did not answer within its patience. The message is one line."""
+    """A store at a URL did not respond within the time that the caller waits for it. The message is one line."""
 
 
 class UnlistedError(OSError):
-    """A server does not list its objects, such as a plain web server."""
+    """A server, such as a plain web server, cannot list its objects."""
 
 
 _USER, _QUERY = re.compile(r"(\w://)[^/\s]*@"), re.compile(r"(\w://[^\s?]*\?)[^\s)]+")
-"""Patterns of the user and password of a URL, and of its query, which may contain a signature."""
+"""Patterns in a URL for what may be secret: user and password, and the query, which may contain a signature."""
 
 
 def without_secrets(text: str) -> str:
@@ -94,7 +96,7 @@ class ChunkError(RunError):
 
 
 def message_of(error: Exception) -> str:
-    """Return the message of a library's error, as one line."""
+    """Return the message of an error of another library, as one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 

@@ -1,9 +1,11 @@
-"""Numbers as text, and symbols of mathtext in Unicode, for terminals and pages that cannot show mathematics."""
+"""Numbers, counts and times as text, and mathematical symbols in Unicode, for terminals and pages that cannot show
+mathtext.
+"""
 
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from html import escape
 from typing import Any
 
@@ -30,13 +32,11 @@ def duration(seconds: float) -> str:
     return f"{total // 3600} h {total % 3600 // 60} min"
 
 
-def text_repr(value: object) -> str:
-    """Return the text of a value, for use as ``__repr__``: a notebook shows the last value of a cell by its repr."""
-    return str(value)
-
-
 def short_repr(value: Any) -> str:
-    """Return a dataclass as a call with the fields that differ from their defaults, without ``repr=False`` fields."""
+    """Return a dataclass as the text of a call with the fields that differ from their defaults.
+
+    Fields with ``repr=False`` are left out.
+    """
     visible_fields = [entry for entry in fields(value) if entry.repr]
     changed = [
         f"{entry.name}={field_value!r}"
@@ -74,17 +74,52 @@ def byte_size(count: int) -> str:
     return f"{size:.3g} TB"
 
 
-def html_table(rows: Iterable[Sequence[str]]) -> str:
-    """Return rows of text as an HTML table for a notebook; the last cell of a short row spans the remaining columns."""
-    listed = [tuple(row) for row in rows]
-    columns = max(map(len, listed), default=0)
+class Summary:
+    """The base class of results that a terminal, a notebook and JSON show: dataclasses with ``rows``."""
+
+    @property
+    def rows(self) -> Sequence[tuple[str, ...]]:
+        """The facts, in order: sentences, pairs of a name and a text, and rows of tables."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return text_table(self.rows)
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the facts as the dict that the command prints with ``--json``: by default the fields, by name."""
+        return asdict(self)  # type: ignore[call-overload]
+
+
+def text_table(rows: Sequence[tuple[str, ...]]) -> str:
+    """Return rows as lines. Rows of the same length are aligned; the cells of a table stand to the right, indented."""
+    widths = {
+        columns: [max(map(len, column)) for column in zip(*(row for row in rows if len(row) == columns), strict=True)]
+        for columns in {len(row) for row in rows}
+    }
+
+    def line(row: tuple[str, ...]) -> str:
+        name, *cells = row
+        if len(cells) < 2:
+            return "  ".join([f"{name:<{widths[2][0]}}", *cells]) if cells else name
+        return "  ".join(["", f"{name:<{widths[len(row)][0]}}", *map(str.rjust, cells, widths[len(row)][1:])])
+
+    return "\n".join(map(line, rows))
+
+
+def html_table(rows: Sequence[tuple[str, ...]]) -> str:
+    """Return rows as an HTML table for a notebook; the last cell of a short row spans the remaining columns."""
+    columns = max(map(len, rows), default=0)
 
     def cell(text: str, span: int) -> str:
         return f'<td colspan="{span}" style="text-align: left">{escape(text)}</td>'
 
-    lines = (
-        "".join(cell(text, 1) for text in row[:-1]) + cell(row[-1], columns - len(row) + 1) for row in listed if row
-    )
+    lines = ("".join(cell(text, 1) for text in row[:-1]) + cell(row[-1], columns - len(row) + 1) for row in rows)
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 

@@ -1,4 +1,4 @@
-"""Differences between operating systems, as in locks, processors and interrupts; files that are written whole.
+"""Functions that depend on the operating system, such as locks, processors and interrupts, and whole writes of files.
 
 The rest of the package is the same on all systems; tests/project/test_portable.py checks this.
 """
@@ -21,7 +21,7 @@ import psutil
 from filelock import FileLock
 
 _LOOKS = 0.01
-"""Interval, in seconds, at which a lock held by another process is tried again."""
+"""Interval, in seconds, between two attempts to get a lock that another process holds."""
 
 
 def file_lock(path: Path) -> FileLock:
@@ -36,7 +36,7 @@ def file_lock(path: Path) -> FileLock:
 
 @contextmanager
 def temporary_beside(target: Path, prefix: str = "") -> Iterator[Path]:
-    """Yield the path of a file that is to be written beside a target, with a name of its own that ends in ``.partial``.
+    """Yield the path of a temporary file in the folder of a target, with a unique name that ends in ``.partial``.
 
     The file is removed at the end, unless it has been moved, as by ``move_whole``.
     """
@@ -60,7 +60,9 @@ def move_whole(unfinished: Path, target: Path) -> None:
 
 
 def is_unread(stream: TextIO) -> bool:
-    """Return True if the reader of a pipe has closed it, as ``head`` does after its lines, or if this is unknown."""
+    """Return True if the reader of a pipe has closed it, as ``head`` does after its lines, or if this cannot be
+    known.
+    """
     if not hasattr(select, "poll"):
         return True
     watch = select.poll()
@@ -135,9 +137,9 @@ def machine_name() -> str:
 def process_start(pid: int) -> str:
     """Return the start time of a process as one word that never changes.
 
-    The word is "dead" for a process that has ended and waits to be collected. Raise OSError if there is no such
-    process. On Linux the time is in clock ticks since boot: psutil converts the ticks to a time of day, which moves
-    with the clock.
+    The word is "dead" for a process that has ended but whose parent has not yet taken note of its end. Raise OSError if
+    there is no such process. On Linux the time is in clock ticks since boot: psutil converts the ticks to a time of
+    day, which moves with the clock.
     """
     if sys.platform == "linux":
         state, *rest = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
@@ -175,7 +177,10 @@ def interrupts_blocked() -> Iterator[None]:
 
 
 def process_name(pid: int | None = None) -> str:
-    """Return the machine (two words), id and start time of a process, by default of this one; empty if unknown."""
+    """Return a name that identifies a process, by default this one, among all processes of all hosts; empty if unknown.
+
+    It consists of the identifier of the machine (two words), the process id and the start time.
+    """
     pid = os.getpid() if pid is None else pid
     try:
         return f"{machine_name()} {pid} {process_start(pid)}"

@@ -1,7 +1,7 @@
-"""What xarray knows of this package: the engine ``atlas`` and the accessor ``ds.atlas``.
+"""The connection of xarray to this package: the engine ``atlas`` and the accessor ``ds.atlas``.
 
 The module is an entry point of ``xarray.backends``, and is loaded after xarray once ``atlas`` is imported, see
-``accessing.py``. It loads nothing but xarray; what it describes is loaded at its first use.
+``accessing.py``. It loads nothing but xarray; functions of this package are loaded at their first use.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 class AtlasBackendEntrypoint(BackendEntrypoint):
-    """The engine of ``xarray.open_dataset(store, engine="atlas")``, which opens a store as ``atlas.open`` does."""
+    """The engine of ``xarray.open_dataset(store, engine="atlas")``, which opens a store in the way of
+    ``atlas.open``.
+    """
 
     description = "Open atlases of impacting machines, with every chunk of a finished tile checked"
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "storage_options")
@@ -27,7 +29,10 @@ class AtlasBackendEntrypoint(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         storage_options: Mapping[str, Any] | None = None,
     ) -> xarray.Dataset:
-        """Return the atlas of a store, without some variables; arguments and errors are those of ``atlas.open``."""
+        """Return the atlas of a store as a dataset, without the variables in ``drop_variables``.
+
+        Other arguments and errors are those of ``atlas.open``.
+        """
         from atlas.query.open import open_atlas
 
         ds = open_atlas(filename_or_obj, storage_options=storage_options)
@@ -36,7 +41,7 @@ class AtlasBackendEntrypoint(BackendEntrypoint):
 
 
 def _accessor(ds: Any) -> "AtlasAccessor":
-    """Return the accessor of a dataset."""
+    """Return the object that ``ds.atlas`` gives for a dataset."""
     from atlas.accessor import AtlasAccessor
 
     return AtlasAccessor(ds)

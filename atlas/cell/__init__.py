@@ -1,1 +1,1 @@
-"""The results and the motion of single cells."""
+"""The results and the motion of single cells, each solved in this process."""

@@ -1,4 +1,7 @@
-"""The check of a law's segments: a coarse plane compared with a second one whose laws have twice as many segments."""
+"""Check whether the segments of a law matter: solve a coarse plane, and again with twice as many segments, and compare.
+
+A law, such as the force of a contact, that is given as an expression is replaced by straight segments.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
@@ -6,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from atlas.errors import InputError
+from atlas.formatting import Summary
 from atlas.spec.spec import Spec
 from workers import solve_tile
 from workers.model.definition import Definition
@@ -19,31 +23,31 @@ CELLS = 12
 """Number of cells along an axis of the coarse plane."""
 
 FINER = 4.0
-"""Factor by which the bound becomes smaller; the number of segments grows as its root."""
+"""Factor by which the bound on the segments' error is reduced; the number of segments grows as its square root."""
 
 MAX_ROWS = 20
-"""Maximum number of cells that are listed as text."""
+"""Maximum number of cells of changed class that the text of a comparison lists."""
 
 CLASS = ("regime", "period", "impacts_upper", "impacts_lower")
-"""Results that define the class of a cell."""
+"""Names of the results that define the class of a cell. Cells of different classes move differently."""
 
 _Element = TypeVar("_Element", Contact, Friction, Spring)
 
 
 class FinerLaws(NamedTuple):
-    """A system whose laws have about twice as many segments.
+    """A system whose laws that are expressions have about twice as many segments as in the original system.
 
     record    the system
-    segments  for each law, by its entry, its number of segments in the original and in this system
+    segments  for each law, by its entry in the definition, its number of segments in the original and in this system
     """
 
     record: System
     segments: dict[str, tuple[int, int]]
 
 
-@dataclass(frozen=True)
-class LawCheck:
-    """The comparison of the cells of a coarse plane by the law and by a law of twice as many segments.
+@dataclass(frozen=True, repr=False)
+class LawCheck(Summary):
+    """The comparison of the cells of a coarse plane by the original laws and by laws of twice as many segments.
 
     segments  for each law, by its entry, its number of segments at the defaults, in the original and in the finer
               system
@@ -60,7 +64,9 @@ class LawCheck:
     changed: list[tuple[dict[str, float], str, str]]
     state: tuple[float, float, dict[str, float]] | None
 
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The comparison, as sentences."""
         lines = [
             f"{where}: {coarse} segments at the defaults, compared with {fine}"
             for where, (coarse, fine) in self.segments.items()
@@ -77,10 +83,10 @@ class LawCheck:
         ]
         if len(self.changed) > MAX_ROWS:
             lines.append(f"... and {len(self.changed) - MAX_ROWS} more; --json lists all")
-        return "\n".join(lines)
+        return [(line,) for line in lines]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the check as plain JSON."""
+        """Return the check as a dict for JSON."""
         change = dict(
             zip(("state_change", "state_change_share", "state_change_at"), self.state or (None,) * 3, strict=True)
         )
@@ -92,9 +98,10 @@ class LawCheck:
 
 
 def finer(spec: Spec) -> FinerLaws:
-    """Return the system of a spec with the laws that are expressions within a quarter of their bounds.
+    """Return the system of a spec with about twice as many segments of the laws that are expressions.
 
-    Raise InputError if no law is an expression, if the finer laws have too many segments, or if the spec is no plane.
+    The bound on the error of each law's segments is a quarter of the original bound. Raise InputError if no law is an
+    expression, if the finer laws have too many segments, or if the spec is a table of points.
     """
     if spec.points:
         raise InputError("points: found a table of parameter sets; --laws takes a plane, [axes.NAME]")
@@ -111,10 +118,11 @@ def finer(spec: Spec) -> FinerLaws:
 
 
 def check_law(spec: Spec, fine: FinerLaws, cells: int = CELLS) -> LawCheck:
-    """Compare a coarse plane of a spec, ``cells`` along each axis, with the same plane of its finer laws.
+    """Solve a coarse plane of a spec, ``cells`` along each axis, with its own and with finer laws, and compare the
+    cells.
 
-    States converge as the square of the segments' length, exponents only within an envelope. The classes and the states
-    of periodic cells are compared.
+    Classes of cells and states of periodic cells are compared. States converge as the square of the segments' length,
+    exponents only within an envelope.
     """
     lines = [
         np.unique(np.asarray(axis.values)[np.linspace(0, len(axis) - 1, cells).round().astype(int)])
@@ -149,16 +157,19 @@ def _finer(definition: Definition) -> Definition:
 
 
 def _of_quarter(element: _Element) -> _Element:
-    """Return the element within a quarter of its bound if its law is an expression, else unchanged."""
+    """Return an element with a quarter of the bound on its segments' error, if its law is an expression; else
+    unchanged.
+    """
     if element.within is None:
         return element
     return replace(element, within=Expression(f"( {element.within.text} ) / {FINER}"))
 
 
 def _segments(system: System, finer_system: System) -> dict[str, tuple[int, int]]:
-    """Return the numbers of segments, in two systems, of laws that are expressions, by their entries.
+    """Return the number of segments, in both systems, of each law that is an expression, by its entry in the
+    definition.
 
-    The numbers are those at the defaults.
+    The numbers are those at the default parameters.
     """
     defaults = {p.name: np.array([p.default]) for p in system.parameters}
     pairs = zip(*(record.definition.laws(defaults) for record in (system, finer_system)), strict=True)
@@ -174,7 +185,7 @@ def _point(at: dict[str, float]) -> str:
 
 
 def _named(arrays: dict[str, Any], k: int) -> str:
-    """Return the class of a cell as text."""
+    """Return the class of cell number k as text."""
     name = REGIME.meaning(arrays[REGIME.name][k]).name
     period, *impacts = (int(arrays[key][k]) for key in CLASS[1:])
     return f"{name} {period} ({', '.join(map(str, impacts))})" if period > 0 else name

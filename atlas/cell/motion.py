@@ -1,4 +1,4 @@
-"""The motion of one machine from its initial state on, with its state at any time, before and after impacts."""
+"""The motion of one machine from its initial state, with its state at any time, before and after impacts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from workers.model.system import System
 
 @dataclass(frozen=True)
 class CellMotion:
-    """The motion of one machine from its initial state on, with its state at any time.
+    """The motion of one machine from its initial state, with its state at any time.
 
-    machines    numbers of the machine, in a batch
-    oscillator  the machine in the form for kernels, in a batch
-    followed    section states and impacts
+    machines    numbers of the machine, in a batch of one
+    oscillator  the machine in the form for kernels, in a batch of one
+    followed    states at the beginnings of periods, and impacts
     """
 
     machines: HybridMachines
@@ -30,9 +30,10 @@ class CellMotion:
 
     @classmethod
     def follow(cls, system: System, parameters: Mapping[str, float], periods: int, cycle: float | None) -> Self:
-        """Return a motion over this number of periods, of the length ``cycle`` for a machine without a force.
+        """Simulate a machine over ``periods`` periods from its initial state, and return the motion.
 
-        Raise InputError if the motion cannot be followed.
+        ``cycle`` is the length of a period for a machine without a force. Raise InputError if the motion cannot be
+        followed.
         """
         try:
             followed = trace(system, parameters, periods, cycle=cycle)
@@ -44,11 +45,13 @@ class CellMotion:
 
     @property
     def period(self) -> float:
-        """The period."""
+        """The length of a period in units of time."""
         return float(self.oscillator.period[0])
 
     def states_at(self, times: Array) -> Array:
-        """Return the states (N, 2n) at times (N,) in order, each followed from the section before it."""
+        """Return the states (N, 2n) at times (N,) in ascending order, each computed from the beginning of its
+        period.
+        """
         periods = np.clip(np.floor(times / self.period).astype(int), 0, len(self.followed.times) - 2)
         states = [np.empty((0, self.followed.states.shape[1]))]
         for k in np.unique(periods).tolist():
@@ -57,7 +60,10 @@ class CellMotion:
         return np.concatenate(states)
 
     def states_at_impacts(self, impacts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the states (K, 2n) just before and just after impacts (K, 3), and the mask (K,) of those with a jump.
+        """Return the states (K, 2n) just before and just after K impacts, and the mask (K,) of impacts at which a
+        velocity jumps.
+
+        impacts (K, 3)  time, side and speed of each impact
 
         A velocity jumps at an impact on a rigid stop, and not where a chatter ends.
         """
@@ -74,7 +80,13 @@ class CellMotion:
 
 
 def _at_stop(row: Array, kick: Array, stop: float, state: Array, velocity: float) -> Array:
-    """Return the state with row . x on a stop and moving with this velocity; impacts act along ``kick``.
+    """Return a state moved to a stop, so that row . x = stop, and with the given velocity there.
+
+    row       (n,) coefficients of the gap coordinate
+    kick      (n,) direction in which impacts change the velocities
+    stop      position of the stop
+    state     (2n,) state close to the stop
+    velocity  velocity of the gap coordinate
 
     All other components stay as they are.
     """

@@ -1,4 +1,4 @@
-"""The command line that solves a cell again."""
+"""The command line ``atlas point`` that solves a given cell again."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import fields
@@ -10,9 +10,10 @@ from workers.model.system import DEFAULT, System
 def point_words(
     system: System, parameters: Mapping[str, float], settings: Settings, always: Collection[str] = ()
 ) -> list[str]:
-    """Return the words of ``atlas point`` with these parameters, exact to the bit.
+    """Return the words of the command line ``atlas point`` that solves a cell with these parameters, exact to the bit.
 
-    Defaults are omitted unless they are in ``always``. A system of the user's own is read from the file of its name.
+    Defaults are omitted unless their names are in ``always``. A system of the user's own is read from the file of its
+    name.
     """
     words = ["atlas", "point"]
     if not system.packaged:

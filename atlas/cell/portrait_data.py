@@ -1,4 +1,7 @@
-"""The contents of a portrait: interval of time, displacements, exponents, enlarged chatter."""
+"""The contents of a portrait, the figure of one cell: time histories, displacements, exponents, enlarged chatter.
+
+A chatter is a series of impacts on one stop at ever shorter intervals.
+"""
 
 import math
 
@@ -11,15 +14,15 @@ from workers.results import QUASIPERIODIC, REGIME, REGULAR, SPECTRUM, UNDETERMIN
 Array = NDArray[np.float64]
 
 _MIN_PERIODS = 6
-"""Minimum number of forcing periods of the time histories; more for a longer orbit, up to twice as many."""
+"""Minimum number of forcing periods that the time histories show; a longer orbit is shown for up to twice as many."""
 _CYCLES = 2
-"""Number of turns of a cycle without a force in the time histories."""
+"""Number of periods of a limit cycle, of a machine without a force, that the time histories show."""
 _MIN_CHATTER_FLIGHTS = 4
-"""Minimum number of flights, each shorter than the one before, that make a chatter."""
+"""Minimum number of flights between impacts, each shorter than the one before, that count as a chatter."""
 
 
 def displacements(orbit: CellTrajectory) -> list[Array]:
-    """Return the rows (n,) of the two displacements that a portrait shows, or of the only one.
+    """Return the rows (n,) of coefficients of the two displacements that a portrait shows, or of the only one.
 
     If the stops are on one coordinate, these are that coordinate and the first other one, in the system's order. If the
     stops are on a combination of coordinates, these are the combination and the first of its coordinates.
@@ -34,9 +37,10 @@ def displacements(orbit: CellTrajectory) -> list[Array]:
 
 
 def periods(orbit: CellTrajectory) -> int:
-    """Return the number of forcing periods of the time histories.
+    """Return the number of periods that the time histories show.
 
-    It is that of an orbit, or the number in which a torus passes through its modulation.
+    It depends on the period of an orbit. For a torus, it covers one and a half turns of the modulation, if the path is
+    that long.
     """
     if orbit.cycle is not None:
         return _CYCLES
@@ -46,7 +50,9 @@ def periods(orbit: CellTrajectory) -> int:
 
 
 def path(orbit: CellTrajectory, count: int) -> tuple[Array, Array]:
-    """Return times (N,) and states (N, 2n) over at least ``count`` periods; a shorter closed orbit is repeated."""
+    """Return times (N,) and states (N, 2n) along the path, over at least ``count`` periods; a shorter closed path is
+    repeated.
+    """
     turns = max(1, -(-count // _span(orbit)))
     return _repeated(orbit, orbit.times, turns), np.concatenate([orbit.states] * turns)
 
@@ -59,7 +65,8 @@ def impact_times(orbit: CellTrajectory, side: float, count: int) -> Array:
 
 
 def chatter(orbit: CellTrajectory) -> slice | None:
-    """Return the first impacts on one stop at ever shorter intervals; None if there are none.
+    """Return the indices of the impacts of the first chatter, impacts on one stop at ever shorter intervals; None
+    without.
 
     The range begins where flights are still long enough to be drawn.
     """
@@ -75,10 +82,10 @@ def chatter(orbit: CellTrajectory) -> slice | None:
 
 
 def enlarged(orbit: CellTrajectory, chatter: slice) -> tuple[Array, Array, tuple[float, float], float]:
-    """Return the enlarged interval around a chatter.
+    """Return the enlarged picture of a chatter, given by the indices of its impacts.
 
-    The first values are times (N,) in ``CellTrajectory.unit``, and the distance (N,) from the stop at each time. Then
-    follow the ends of the interval, and the largest distance between the first impact and the last.
+    The first two values are times (N,) in ``CellTrajectory.unit``, and the distance (N,) from the stop at each time.
+    Then follow the limits of time, and the largest distance between the first impact and the last.
     """
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)
@@ -89,9 +96,9 @@ def enlarged(orbit: CellTrajectory, chatter: slice) -> tuple[Array, Array, tuple
 
 
 def exponent_ends(running: Array, written: Array) -> tuple[float, float]:
-    """Return limits between which averages (N, n) end and change most of the way.
+    """Return limits for the plot of running averages of exponents (P, n), which include the exponents ``written``.
 
-    The first periods may lie far off.
+    The first averages are left out of the limits, since they may lie far off.
     """
     later = running[min(9, len(running) - 1) :]
     ends = np.concatenate([later[np.isfinite(later)], written[np.isfinite(written)], [0.0]])
@@ -100,7 +107,7 @@ def exponent_ends(running: Array, written: Array) -> tuple[float, float]:
 
 
 def is_few(x: Array, y: Array) -> bool:
-    """Return True if section values are few points.
+    """Return True if the section values form few distinct points in the plot.
 
     Thousands of states may coincide in one point, if an orbit closes late.
     """
@@ -109,10 +116,10 @@ def is_few(x: Array, y: Array) -> bool:
 
 
 def written(orbit: CellTrajectory) -> Array:
-    """Return the exponents that are written as numbers.
+    """Return the exponents that a portrait writes as numbers.
 
-    These are the cell's, or, if its regime is undetermined, those of the path that is drawn. The stored exponents of
-    such a cell are averages over motions that it has left.
+    These are the cell's stored exponents. If its regime is undetermined, they are those of the path that is drawn: the
+    stored exponents of such a cell are averages over motions that it has left.
     """
     if int(orbit.cell[REGIME.name]) == UNDETERMINED:
         return np.sort(orbit.running[-1])[::-1]
@@ -124,5 +131,5 @@ def _repeated(orbit: CellTrajectory, times: Array, turns: int) -> Array:
 
 
 def _span(orbit: CellTrajectory) -> int:
-    """Return the number of forcing periods of the path."""
+    """Return the number of forcing periods that the stored path of a motion covers."""
     return round(float(orbit.times[-1] / orbit.period))

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NEXT = 1e-9
-"""Share of a period after an event at which its mode holds: times of two kernels differ by rounding."""
+"""Distance in time from an event, as a share of a period, at which forces before or after the event are evaluated.
+
+It exceeds the rounding by which two computed times of one event differ.
+"""
 
 
 def time_history(
@@ -88,7 +91,10 @@ def time_history(
     changes = np.array([time for time, _ in modes.events])
 
     def part(times: Array, states: Array, since: float, event: Any = "", speed: Any = np.nan) -> "pd.DataFrame":
-        """Return rows of one kind, whose modes are those at this time after each row's own, in periods."""
+        """Return rows of the table with the forces just before, at, or just after the instants of the rows.
+
+        ``since`` is the time from an instant to the time of its forces, in periods.
+        """
         columns = {"time": times} | dict(zip(record.states, states.T, strict=True))
         columns |= modes.forces(times, states, times + since * motion.period)
         return pd.DataFrame(columns | {"event": event, "impact_speed": speed})
@@ -106,13 +112,17 @@ def time_history(
 
 
 def _force_columns(system: System) -> list[str]:
-    """Return the names of the columns of forces: contacts first, then friction."""
+    """Return the names of the table's columns with forces: contacts first, then friction."""
     definition = system.definition
     return [f"{element.name}_force" for elements in (definition.contacts, definition.friction) for element in elements]
 
 
 def _instants(times: Sequence[float] | None, first: float, last: float, count: int) -> Array:
-    """Return the instants of a history: the given ``times``, or ``count`` even steps."""
+    """Return the instants of a time history: the given ``times``, sorted, or ``count`` even steps from ``first`` to
+    ``last``.
+
+    Raise InputError for times out of range.
+    """
     if times is None:
         return np.linspace(first, last, count + 1)
     try:
@@ -126,7 +136,7 @@ def _instants(times: Sequence[float] | None, first: float, last: float, count: i
 
 @dataclass(frozen=True)
 class _ModeHistory:
-    """The modes of a motion, in order of time, and the events that are no impacts.
+    """The L modes of a motion, in order of time, and the events that are no impacts.
 
     A mode is one set of linear equations between two events: the phase, which contacts push, which friction slides.
 
@@ -145,7 +155,10 @@ class _ModeHistory:
 
     @classmethod
     def of(cls, system: System, motion: CellMotion, transient: int) -> Self:
-        """Return the modes of a motion after this number of periods, each period from its own section state."""
+        """Return the modes of a motion after ``transient`` periods.
+
+        Each period is followed anew from its initial state.
+        """
         machine, _ = build_hybrid(motion.machines)
         starts, numbers = list[Array](), list[Array]()
         for k in range(transient, len(motion.followed.times) - 1):
@@ -164,17 +177,22 @@ class _ModeHistory:
         return history
 
     def _code(self, number: int) -> ModeCode:
-        """Return the mode with this number."""
+        """Decode the number of a mode: its phase, the state of its contacts, and the direction of its friction."""
         machines = self.machine.table.machines
         return code_of(number, *machines.sizes[1:], *machines.segments)
 
     def stop(self, side: float) -> str:
-        """Return the name of a stop, by +-(1 + its contact): ``stop``, or ``stop, upper`` if its contact has two."""
+        """Return the name of a stop: ``stop``, or ``stop, upper`` if its contact has two.
+
+        ``side`` is 1 + the index of the contact, negative for the lower stop.
+        """
         contact = self.system.definition.contacts[abs(int(side)) - 1]
         return contact.name if contact.stops < 2 else f"{contact.name}, {'upper' if side > 0 else 'lower'}"
 
     def _events(self, old: ModeCode, new: ModeCode) -> Iterator[str]:
-        """Yield the names of what changes between two modes, impacts and segments of laws excepted."""
+        """Yield the names of the changes from one mode to the next, such as sticking; impacts and segments of laws are
+        left out.
+        """
         if old.phase != new.phase:
             yield f"phase {new.phase + 1}"
         for c, (was, now) in enumerate(zip(old.contacts, new.contacts, strict=True), 1):
@@ -189,10 +207,10 @@ class _ModeHistory:
                 yield f"{friction.name} {('slips backward', 'sticks', 'slips forward')[int(np.sign(now)) + 1]}"
 
     def forces(self, times: Array, states: Array, at: Array) -> dict[str, Array]:
-        """Return the forces (N,) of contacts and friction along their rows, by column.
+        """Return the forces (N,) of contacts and friction along their directions, by the name of the column.
 
         times, states  (N,) and (N, 2n) instants and states
-        at             (N,) times whose modes hold
+        at             (N,) times at which the modes are looked up
         """
         table, n = self.machine.table, states.shape[1] // 2
         machines, pieces = table.machines, table.pieces

@@ -1,4 +1,6 @@
-"""The motion of one cell in detail: its path through all impacts, its section, and its exponents as they converge."""
+"""The motion of one cell in detail: its path through all impacts, its section states, and its exponents as they
+converge.
+"""
 
 import math
 from collections.abc import Mapping
@@ -34,19 +36,21 @@ from workers.results import (
 Array = NDArray[np.float64]
 
 SAMPLES, OF_HARMONIC = 400, 50
-"""Number of points of the path per forcing period, and minimum per period of the fastest harmonic of the force."""
+"""Number of points of the path per forcing period, and minimum number per period of the force's fastest harmonic."""
 HISTORY_SAMPLES = 100
 """Default number of instants per period in the table of a time history."""
 OPEN_PATH = 40
-"""Number of forcing periods of the path of a motion that does not close; a closed path is shown once around."""
+"""Number of forcing periods of the path of a motion that does not close; a closed path covers one period of the
+orbit.
+"""
 MAX_PATH_PERIODS = 200
-"""Maximum number of forcing periods of the path of a torus, which is to show its modulation."""
+"""Maximum number of forcing periods of a torus's path, which should be long enough to show the modulation."""
 SECTION_STATES = 4000
-"""Number of section states of a motion that does not close."""
+"""Number of section states, one per forcing period, that are stored of a motion that does not close."""
 CONVERGENCE = (8000, 1000, 100, 10)
-"""Numbers of forcing periods over which exponents are averaged.
+"""Numbers of forcing periods over which exponents may be averaged to show how they converge.
 
-The first is that of Li & Tan (2011); fewer are used if they cost much.
+The first is that of Li & Tan (2011); a smaller one is used if the averages cost too much.
 """
 
 
@@ -82,7 +86,7 @@ class CellTrajectory:
 
     @property
     def unit(self) -> float:
-        """The unit of time of pictures: a forcing period, or 1 without a force."""
+        """The unit of time in pictures: a forcing period, or 1 without a force."""
         return 1.0 if self.system.definition.unforced else self.period
 
     @property
@@ -93,27 +97,29 @@ class CellTrajectory:
 
     @property
     def has_exact_exponents(self) -> bool:
-        """True if the exponents are exact, as those of an orbit, and not averages."""
+        """True if the exponents are exact, as those of a periodic orbit, and not averages."""
         return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC, LOCKING, REGULAR)
 
     @cached_property
     def gap_row(self) -> Array:
-        """The row g (n,) of the gap coordinate y = g . x."""
+        """The coefficients g (n,) of the gap coordinate y = g . x, on which the stops act, in the displacements x."""
         return np.array(self.system.build(self.parameters).gap_row)
 
     def gap(self, states: Array) -> Array:
-        """Return the gap coordinate (N,) of states (N, 2n)."""
+        """Return the gap coordinate (N,), on which the stops act, of states (N, 2n)."""
         return np.asarray(states[:, : self.gap_row.size] @ self.gap_row)
 
     @property
     def identity(self) -> dict[str, Any]:
-        """All that decides these numbers, as a spec without axes: the system, the parameters, the settings."""
+        """All that determines the numbers of this motion: system, parameters and settings, in the form of a spec
+        without axes.
+        """
         others = {"parameters": dict(self.parameters), "axes": [], "solve": asdict(self.settings)}
         return identity(self.system.to_resolved()) | others
 
     @property
     def digest(self) -> str:
-        """Digest of all that decides these numbers, computed like that of a spec."""
+        """Digest of ``identity``, that is of all that determines the numbers of this motion."""
         return digest_of(self.identity)
 
 
@@ -191,7 +197,10 @@ def samples_of(system: System) -> int:
 
 
 def _running(system: System, parameters: Mapping[str, float], settings: Settings, cycle: float | None) -> Array:
-    """Return running means of the exponents, over as many periods as can be afforded."""
+    """Return running means (P, 2n) of the exponents over 1, 2, ... periods, for as many periods as are affordable.
+
+    ``cycle`` is the period of a limit cycle, None for other motions.
+    """
     from workers import trace
 
     reason = ""
@@ -206,9 +215,10 @@ def _running(system: System, parameters: Mapping[str, float], settings: Settings
 def path_of(
     system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
 ) -> tuple[Array, Array, Array]:
-    """Return times, states and impacts from the parameters' initial state on, in even steps of time.
+    """Return times, states and impacts of a motion over ``periods`` periods, in even steps of time.
 
-    Impacts on rigid stops have two more states each, with the velocities before and after the impact.
+    It begins at the initial state that the parameters give. ``cycle`` is the period of a limit cycle, None for other
+    motions. Impacts on rigid stops have two more states each, with the velocities before and after the impact.
     """
     from atlas.cell.motion import CellMotion
 

@@ -1,4 +1,4 @@
-"""Finding the faults of a store: everything in it is read and compared, and nothing is written."""
+"""Find the faults of a store: everything in it is read and compared, and nothing is written."""
 
 import random
 import time
@@ -43,12 +43,12 @@ from workers import SOLVER_VERSION
 
 @dataclass(frozen=True)
 class VerifyFindings:
-    """The findings in a store.
+    """The result of reading a whole store: its faults, and what a repair needs.
 
     handle  handle of the store
     report  the report for people
-    rows    the tile records that sound tiles should have, from their cells
-    right   the right metadata and coordinates, by key
+    rows    correct records of the tiles without faults, computed from their cells
+    right   metadata and coordinates that the store should have, by key
     """
 
     handle: AtlasStore
@@ -58,14 +58,22 @@ class VerifyFindings:
 
 
 def find_faults(backend: StoreBackend, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
-    """Read a whole store, and return all its faults; see ``verify.verify``. Raise InputError if there is no store."""
+    """Read a whole store and return all its faults.
+
+    backend  backend of the store
+    sample   number of cells to solve again
+    seed     seed by which they are drawn
+    notify   function called with the progress
+
+    Raise InputError if there is no store.
+    """
     with os_errors_as_input_errors(backend, "read"):
         handle = open_damaged_store(backend)
     return _read(handle, sample, seed, notify)
 
 
 def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
-    """Return the report on a store before anything is read."""
+    """Return the report of a verification before anything is checked: counts of tiles, and no faults."""
     n_finished = int(done_mask(handle).sum())
     return VerifyReport(
         str(handle.backend), handle.tiling.count, n_finished, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
@@ -73,7 +81,10 @@ def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
 
 
 def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
-    """Return the findings in a store; metadata and coordinates are not needed to read its cells."""
+    """Read everything in a store and return its faults.
+
+    Metadata and coordinates in the store are not needed to read its cells, since they follow from the spec.
+    """
     notify(Progress("listing the tiles"))
     records, right = TileRecords(handle, done_mask(handle)), RightObjects(handle)
     finished_tiles = [tuple(index) for index in np.argwhere(records.finished_mask).tolist()]
@@ -113,13 +124,12 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
 def _solve_again(
     spec: Spec, samples: list[SampledCell], exact: bool, notify: Callable[[Progress], None]
 ) -> Iterator[StoreFault]:
-    """Yield a fault for each cell of the sample whose results, solved again, differ.
+    """Solve sampled cells again, and yield a fault for each whose results differ from the stored results.
 
-    With ``exact`` they differ in any bit, else beyond their errors.
+    With ``exact`` any differing bit counts, else only differences beyond the errors.
     """
-    notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
     for k, one in enumerate(samples, 1):
-        notify(Progress(f"solving cell {k} of {len(samples)} again", transient=True))
+        notify(Progress("solving cells again", detail=f"{k} of {len(samples)}"))
         again = solve_again(spec, one)
         different = (
             find_bit_differences(one.stored, again) if exact else find_differences_beyond_error(spec, one.stored, again)
@@ -133,11 +143,11 @@ class _TileCheckResult:
     """The result of reading and checking a tile.
 
     index    index of the tile
-    chunks   number of its good chunks
+    chunks   number of its intact chunks
     cells    number of its cells checked by the rules
-    faults   its faults
-    samples  cells drawn from it
-    row      its tile record, from the cells; None if they cannot be read
+    faults   texts about its faults
+    samples  cells drawn from it, to be solved again
+    row      its correct tile record, from the cells; None if they cannot be read
     """
 
     index: Index
@@ -155,7 +165,14 @@ def _read_tiles(
     drawn: dict[Index, list[int]],
     notify: Callable[[Progress], None],
 ) -> Iterator[_TileCheckResult]:
-    """Read and check the finished tiles, several at once, and yield the results."""
+    """Read and check the finished tiles, several at once, and yield the result of each.
+
+    handle          the store
+    records         its tile records
+    finished_tiles  indices of the tiles
+    drawn           cells to be solved again, as flat indices within a tile, by tile
+    notify          function called with the progress
+    """
     tiling = handle.tiling
     _ = records.columns(DIGEST)  # before several threads read them
     sizes = [tiling.at(index).size for index in finished_tiles]
@@ -200,14 +217,14 @@ def _check_tile(handle: AtlasStore, records: TileRecords, index: Index, drawn: l
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
-    """Return the first cell of a mask over a tile, as its index in the atlas."""
+    """Return the index, in the atlas, of the first cell that is True in a mask over the tile with these slices."""
     return tuple(part.start + int(along[0]) for part, along in zip(slices, np.nonzero(mask), strict=True))
 
 
 def draw_cells(tiling: Tiling, finished_tiles: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
-    """Draw ``count`` cells of the finished tiles, all with the same probability.
+    """Draw ``count`` cells at random from the finished tiles, all with the same probability.
 
-    Return flat indices of cells within their tiles, by tile.
+    Return, by tile, the flat indices of the drawn cells within the tile.
     """
     rng = random.Random(seed)
     ends = list(accumulate(tiling.at(index).size for index in finished_tiles))

@@ -1,4 +1,4 @@
-"""Names among a store's chunks that belong to no chunk, such as a tile beyond the grid or ``05``."""
+"""Find objects in the folders of a store's chunks that are no chunks, such as a tile beyond the grid or ``05``."""
 
 import re
 from collections.abc import Iterator
@@ -10,11 +10,11 @@ from atlas.store.tiling import chunk_places
 from workers.results import Variable
 
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial$")
-"""End of the name of a file that is being written, by this package or by Zarr."""
+"""Pattern of the end of a file's name while the file is being written, by this package or by Zarr."""
 
 
 def leftovers(backend: StoreBackend) -> list[str]:
-    """Return the files that killed writes have left in a folder. Nothing reads these files."""
+    """Return the files that killed writes have left in a store's folder. Nothing reads these files."""
     if backend.local is None:
         return []
     files = (path for path in backend.local.rglob("*.partial") if _PARTIAL.search(path.name) and path.is_file())
@@ -22,7 +22,7 @@ def leftovers(backend: StoreBackend) -> list[str]:
 
 
 def foreign_keys(handle: AtlasStore) -> Iterator[str]:
-    """Yield the keys of all foreign objects, from a listing of each array."""
+    """Yield the keys of all objects in the folders of chunks that are no chunks, from a listing of each array."""
     for variable in handle.variables:
         yield from _foreign(handle, "", variable, handle.tiling.grid)
     pyramid = Pyramid(handle)

@@ -1,4 +1,4 @@
-"""Checks of the small objects beside cells, overviews and tables: parts of searches, records of hosts."""
+"""Check the small objects of a store: intermediate results of searches, and records of hosts."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ from atlas.store.store import AtlasStore
 
 
 def small_faults(handle: AtlasStore) -> Iterator[StoreFault]:
-    """Yield the faults of the parts of searches and of the records of hosts, which are read."""
+    """Yield the faults of the stored parts of searches, their intermediate results, and of the records of hosts."""
     for key in (key for group in groups_of(handle.spec) for key in damaged_parts(handle, group)):
         yield StoreFault(None, f"{key} is damaged", (PART, key))
     for key in host_keys(handle):

@@ -1,4 +1,4 @@
-"""Comparison of a store's metadata and coordinates, byte by byte, with the ones made anew from its spec."""
+"""Compare a store's metadata and coordinates, byte by byte, with the bytes that follow from its spec."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -16,14 +16,14 @@ from atlas.store.schema import FORMAT, OVERVIEWS, SPEC_KEY, chunk_of_whole, grou
 from atlas.store.store import AtlasStore, handle_by, open_store
 
 ROUNDING = 1e-9
-"""Largest difference of numbers of overviews, relative or absolute: cells on log axes depend on the host."""
+"""Maximum relative or absolute difference of an overview's coordinates: on log axes, rounding depends on the host."""
 
 
 def open_damaged_store(backend: StoreBackend) -> AtlasStore:
-    """Return the handle of a store whose root may be lost or wrong, if the group ``spec`` has its attributes.
+    """Return the handle of a store, also if its root is lost or damaged.
 
-    If both are sound but differ, those attributes are right from which more of the store's objects follow. Raise
-    InputError if there is no store.
+    The attributes of the root are stored a second time, in the group ``spec``. If the two copies are intact but differ,
+    the copy is right from which more of the store's objects follow. Raise InputError if there is no store.
     """
     stored = backend.get_all([ROOT, SPEC_KEY])
     sound = [attributes for key in (ROOT, SPEC_KEY) if (attributes := unsealed(stored.get(key))) is not None]
@@ -39,7 +39,10 @@ def _count_right(handle: AtlasStore) -> int:
 
 
 class RightObjects(dict[str, bytes]):
-    """The right metadata and coordinates of a store, by key, and the ``faults`` of groups that cannot be restored."""
+    """The metadata and coordinates that a store should have, as bytes by key.
+
+    ``faults`` are those of groups that cannot be restored.
+    """
 
     def __init__(self, handle: AtlasStore) -> None:
         super().__init__(handle.layout)
@@ -56,7 +59,10 @@ class RightObjects(dict[str, bytes]):
             self[ROOT] = root_with_groups(handle.attributes, handle.nodes, groups)
 
     def _group(self, handle: AtlasStore, name: str) -> bytes | None:
-        """Add the metadata of a group, and return those of the group itself; None if it is absent or lost."""
+        """Add the metadata that a group and its arrays should have.
+
+        Return the metadata of the group itself; None if the group is absent or lost.
+        """
         key, copies = f"{name}/{ROOT}", members_of(handle.backend.get(ROOT))
         stored = data = handle.backend.get(key)
         if unsealed(data) is None and name in copies:
@@ -78,7 +84,7 @@ class RightObjects(dict[str, bytes]):
 
 
 def metadata_faults(handle: AtlasStore, right: Mapping[str, bytes]) -> Iterator[StoreFault]:
-    """Yield a fault for each object that differs from the ``right`` one."""
+    """Yield a fault for each stored object that differs from the bytes that it should have, ``right`` by key."""
     pyramid = Pyramid(handle)
     coarse = pyramid.coordinates() if pyramid.exists else {}
     rounded = {chunk_of_whole(path, stored): stored.values for path, stored in coarse.items()}
@@ -95,7 +101,7 @@ def metadata_faults(handle: AtlasStore, right: Mapping[str, bytes]) -> Iterator[
 
 
 def _is_close(stored: bytes | None, values: Any) -> bool:
-    """Return True if a stored chunk differs from values by rounding alone."""
+    """Return True if the bytes of a stored chunk differ from these values by rounding alone."""
     if stored is None or values.dtype.kind != "f" or len(stored) != values.nbytes + 4:
         return False
     stored_values = np.frombuffer(stored[:-4], dtype="<f8").reshape(values.shape)

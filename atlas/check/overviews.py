@@ -1,4 +1,4 @@
-"""Checks of overviews against the cells below them: each chunk is computed again from the level below."""
+"""Check overviews, the coarser copies of an atlas: each chunk is computed again from the level below and compared."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -22,7 +22,7 @@ from workers.results import REGIME
 def check_overviews(
     handle: AtlasStore, bad: set[Index], on_level: Callable[[int], None]
 ) -> tuple[int, list[StoreFault]]:
-    """Read every chunk of every level, and return the number of chunks read whole, and the faults.
+    """Check every chunk of the overviews, and return the number of intact arrays of chunks, and the faults.
 
     handle    handle of the store
     bad       finished tiles with faults; chunks over them are not compared, since they are dropped with the tiles
@@ -68,7 +68,13 @@ def _checked(
 
 
 def _check(part: StoreBlock, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:
-    """Return the number of arrays of a chunk that are whole, and its faults."""
+    """Return the number of arrays of a chunk that are intact, and texts about its faults.
+
+    part          the store, for reading cells and overviews
+    level, index  level and index of the chunk
+    complete      True if the chunk has its ``regime``, which is written last
+    over_unsound  True if the chunk covers faulty tiles or chunks, so that it cannot be compared
+    """
     levels = part.pyramid.levels
     block = levels.block(level, index)
     variables = part.pyramid.variables

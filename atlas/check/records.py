@@ -1,4 +1,4 @@
-"""Checks of tile records against the cells of their tiles."""
+"""Check the records of tiles, their stored digests and counts, against the cells of the tiles."""
 
 from collections.abc import Mapping
 
@@ -12,9 +12,10 @@ from workers.results import REASON
 
 
 def record_faults(handle: AtlasStore, records: TileRecords, counted: Mapping[Index, Rows]) -> list[str]:
-    """Return the faults of a store's tile records; ``counted`` has the correct row of every finished tile.
+    """Return texts about the faults of a store's tile records.
 
-    Records that are missing are a fault of a complete store: a run that was killed may have left others without.
+    ``counted`` has the correct record of every finished tile, from its cells. Missing records are a fault of a complete
+    store only: a run that was killed may have left finished tiles without a record.
     """
     faults = [f"{key} {damage}" for key, damage in records.damaged.items()]
     missing = int((records.finished_mask & ~records.known_mask).sum())

@@ -1,6 +1,6 @@
-"""Repair of a store: faulty parts are dropped, so that the next run, search or explorer computes them again.
+"""Repair of a store: faulty objects are dropped, so that the next run, search or explorer computes them again.
 
-Parts that no run computes are written again: metadata, coordinates and records of tiles, which the spec and the cells
+Objects that no run computes are written again: metadata, coordinates and records of tiles, which the spec and the cells
 determine.
 """
 
@@ -24,11 +24,11 @@ from atlas.store.tile_records import forget_records, write_records
 from atlas.store.tiles import drop_tile
 
 Names = Sequence[tuple[Any, ...]]
-"""The names of faulty parts of one kind, without the kind itself."""
+"""The names of faulty objects of one kind."""
 
 
 def repair(findings: VerifyFindings) -> VerifyReport:
-    """Drop or restore the faulty parts of a leased store; return the report with the repairs.
+    """Drop or restore the faulty objects of a leased store; return the report of the verification with the repairs.
 
     Overviews are dropped before the tiles below them. Without a fault nothing is written.
     """
@@ -54,7 +54,10 @@ def repair(findings: VerifyFindings) -> VerifyReport:
 
 
 def _write_metadata(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    """Write the right metadata and coordinates, those of the root at the end."""
+    """Write the metadata and coordinates that the store should have, those of the root at the end.
+
+    Yield a line of text for each.
+    """
     for (key,) in sorted(names, key=lambda name: name == (ROOT,)):
         findings.handle.backend.put(key, findings.right[key])
         yield f"{key} written again"
@@ -85,7 +88,7 @@ def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
 
 
 def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:
-    """Write the records of sound tiles, from their cells."""
+    """Write the records of the tiles without faults, computed from their cells; yield a line of text."""
     rows = np.zeros((*findings.handle.tiling.grid, WIDTH))
     for index, row in findings.rows.items():
         rows[index] = row
@@ -100,4 +103,7 @@ MENDERS: dict[str, Callable[[VerifyFindings, Names], Iterator[str]]] = {
     MACHINE: _mend_machines,
     RECORDS: _write_records,
 }
-"""The function that drops or restores the faulty parts of a kind, in this order, and yields lines for the user."""
+"""For each kind of faulty object, the function that drops or restores such objects and yields lines of text.
+
+They are called in this order.
+"""

@@ -4,23 +4,26 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from atlas.errors import REPACK_HINT
-from atlas.formatting import html_table, plural
+from atlas.formatting import Summary, plural
 from atlas.store.tiling import Index
 
 MAX_FAULTS_SHOWN = 50
 """Maximum number of faults that a terminal shows; ``--json`` lists all."""
 
 METADATA, CHUNK, GROUP, PART, FOREIGN, MACHINE = "metadata", "chunk", "group", "part", "foreign", "machine"
-"""Kinds of faulty parts other than tiles, see ``repair.MENDERS``; others are named by their folder or object."""
+"""Kinds of faulty objects other than tiles, by which a repair chooses what to do, see ``repair.MENDERS``.
+
+Other kinds have the name of their folder or object.
+"""
 
 
 @dataclass(frozen=True)
 class StoreFault:
     """A fault of a store.
 
-    tile  index of its tile; None for the store as a whole
+    tile  index of the faulty tile; None for the store as a whole
     what  line of text that describes the fault
-    part  the faulty part that a repair drops or writes again, as its kind and its name; empty for a tile
+    part  kind and name of the faulty object that a repair drops or writes again; empty for a tile
     """
 
     tile: Index | None
@@ -31,8 +34,8 @@ class StoreFault:
         return self.what if self.tile is None else f"tile {self.tile}: {self.what}"
 
 
-@dataclass(frozen=True)
-class VerifyReport:
+@dataclass(frozen=True, repr=False)
+class VerifyReport(Summary):
     """The findings of a verification.
 
     store              path or URL of the store
@@ -42,12 +45,12 @@ class VerifyReport:
     cells_solved       number of cells of the sample that were solved again
     comparison         "bits", "error", or the reason why no cell was compared
     seed               seed by which the sample was drawn
-    faults             proved: damage, contradictions, cells whose results differ on the same host
+    faults             proved faults: damage, contradictions, cells whose results differ on the same host
     doubts             cells whose results differ, beyond their errors, on another kind of host
     overview_chunks    number of chunks of overviews read whole, and compared with the cells below them
     repaired           tiles that became unfinished, so that the next run solves them again; None without repair
     dropped            number of faulty chunks of overviews that were removed
-    removed            removed names among the chunks that belong to no chunk
+    removed            keys of removed objects: objects that are no chunks, and leftovers
     restored           other repairs, one line each
     leftovers          files of killed writes, which nothing reads: no faults, but a repair removes them
     """
@@ -76,25 +79,25 @@ class VerifyReport:
 
     @property
     def is_sound(self) -> bool:
-        """True if the store is complete and has neither faults nor doubts."""
+        """True if the store is complete, and no fault and no doubtful cell was found."""
         return self.is_complete and not self.faults and not self.doubts
 
     @property
     def remedy(self) -> str:
-        """The remedy of the faults, as text."""
+        """Text about what to do about the faults."""
         if self.store.lower().endswith(".zip"):
             return REPACK_HINT
         solves = any(fault.tile is not None for fault in self.faults)
         return f"atlas verify --repair {self.store}" + ", then run it again" * solves
 
     @property
-    def rows(self) -> list[tuple[str, str]]:
-        """The counts of checked objects, by name."""
+    def rows(self) -> list[tuple[str, ...]]:
+        """The numbers of checked objects by name, then the faults and repairs, as rows of text."""
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of host)"}
         sample = f"not solved again: {self.comparison}"
         if self.comparison in how:
             sample = f"{plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
-        counts = [
+        counts: list[tuple[str, ...]] = [
             ("tiles", f"{self.tiles_done} of {self.tiles} done" + "; atlas run completes it" * (not self.is_complete)),
             ("chunks", f"{self.chunks} read, checksums correct"),
             ("levels", f"{plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below"),
@@ -104,11 +107,11 @@ class VerifyReport:
         if self.leftovers and self.repaired is None:
             rest = f"{plural(len(self.leftovers), 'file')} of killed writes, which nothing reads: --repair removes them"
             counts.append(("left", rest))
-        return counts
+        return [*counts, *((line,) for line in self.findings)]
 
     @property
     def findings(self) -> list[str]:
-        """Faults and repairs, and the verdict at the end, in lines."""
+        """Lines of text about the faults and the repairs, with the verdict at the end."""
         lines = []
         for title, faults in (("found", self.faults), ("in doubt", self.doubts)):
             lines += [f"{title}: {fault}" for fault in faults[:MAX_FAULTS_SHOWN]]
@@ -129,12 +132,6 @@ class VerifyReport:
         bad = bool(self.faults or self.doubts)
         lines.append("fine" if self.is_sound else "not fine" if bad else "nothing wrong, but not complete")
         return lines
-
-    def __str__(self) -> str:
-        return "\n".join([*(f"{name:<9}{text}" for name, text in self.rows), *self.findings])
-
-    def _repr_html_(self) -> str:
-        return html_table([*self.rows, *((line,) for line in self.findings)])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas verify --json`` prints."""

@@ -1,4 +1,4 @@
-"""Solving stored cells again and comparing the results: to the bit on the same kind of host, else within errors."""
+"""Solve stored cells again and compare the results: to the bit on the same kind of host, else within their errors."""
 
 import math
 from collections.abc import Mapping
@@ -13,14 +13,14 @@ from atlas.task.solve_block import solve_independent
 from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, leading
 
 ERRORS = 5.0
-"""Largest difference of the largest exponents of two hosts, in errors of both solutions."""
+"""Maximum difference, in standard errors of both solutions, between the largest exponents of one cell on two hosts."""
 ROUNDING = 1e-9
-"""Largest further difference, relative to the exponents, or absolute if they are below 1."""
+"""Additional difference that is admitted, relative to the exponents, or absolute if they are below 1."""
 
 
 @dataclass(frozen=True)
 class SampledCell:
-    """A cell of a stored tile.
+    """A stored cell that is to be solved again.
 
     cell    index of the cell in the atlas
     tile    index of its tile
@@ -38,7 +38,7 @@ class SampledCell:
 
 
 def solve_again(spec: Spec, sample: SampledCell) -> Mapping[str, np.ndarray]:
-    """Solve the cell, and return its results in the shapes of the stored results."""
+    """Solve a sampled cell again, and return its results in the shapes of the stored results."""
     block = tuple(slice(i, i + 1) for i in sample.cell)
     allowed = ALLOWANCES if spec.attractors is None else ()  # atlases of all attractors cannot be retried
     allowance_settings: dict[str, Any] = {
@@ -52,17 +52,20 @@ def solve_again(spec: Spec, sample: SampledCell) -> Mapping[str, np.ndarray]:
 
 
 def find_bit_differences(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
-    """Return the differences of two solutions of a cell in any bit, as text; empty if there are none."""
+    """Compare stored results of a cell with the results of solving it again, bit by bit.
+
+    Return a text about the differences; empty if there are none.
+    """
     names = [name for name, values in again.items() if name in stored and stored[name].tobytes() != values.tobytes()]
     return _in_words(stored, again, names)
 
 
 def find_differences_beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
-    """Return the differences beyond errors of two solutions of a cell, as text; empty if there are none.
+    """Compare stored results of a cell with the results of solving it again on another host, within their errors.
 
-    The solutions are those of different hosts. The regimes must be the same, for an orbit also the period and whether
-    it sticks. The largest exponents must agree within their errors. In an atlas of all attractors the first attractors
-    are compared.
+    Return a text about the differences; empty if there are none. The regimes must be the same, for an orbit also the
+    period and whether it sticks. The largest exponents must agree within their errors. In an atlas of all attractors
+    the first attractors are compared.
     """
     dims = stored["periods_used"].ndim
     stored, again = (leading(spec.variables, arrays, dims) for arrays in (stored, again))
@@ -80,7 +83,7 @@ def find_differences_beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], 
 
 
 def place_in(spec: Spec, cell: tuple[int, ...]) -> str:
-    """Return the parameters of a cell as text: ``omega = 2.5, b = 0.1``; for a table also the row."""
+    """Return the parameters of a cell as text: ``omega = 2.5, b = 0.1``; for a table of points also the row."""
     columns = [f"{name} = {values[cell[0]]!r}" for name, values in spec.points.items()]
     if columns:
         return f"point {cell[0]}: {', '.join(columns)}"

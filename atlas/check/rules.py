@@ -36,22 +36,25 @@ Arrays = Mapping[str, NDArray[Any]]
 Mask = NDArray[np.bool_]
 
 STANDARD_ERRORS = 4.0
-"""Number of errors by which the exponent of a chaotic cell is positive, unless its average is not stationary."""
+"""Number of standard errors by which the largest exponent of a chaotic cell must exceed 0.
+
+Cells whose average is not stationary are exempt.
+"""
 SUM_LAW = 1e-8
-"""Largest error of a sum of exponents, relative to its exact value, or absolute if the exact value is below 1."""
+"""Maximum error of the sum of the exponents, relative to its exact value, or absolute if the exact value is below 1."""
 TORUS = 1e-3
-"""Further error of the sum for a quasiperiodic cell.
+"""Additional error that is admitted of the sum of a quasiperiodic cell's exponents.
 
 Its first exponent is a weighted average, the others are plain averages.
 """
 ENERGY_ROUNDING = 1e-6
 """Largest change of the energy of a machine that loses nothing, as a share of it."""
 AVERAGE_TOLERANCE = 1e-6
-"""Largest difference, besides five errors, between two kinds of averages of the largest exponent."""
+"""Maximum difference, in addition to five standard errors, between two kinds of averages of the largest exponent."""
 
 
 def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    """Return a list of (rule as text, mask of the cells that break the rule), for rules broken in a tile.
+    """Return the rules that results of a tile break: the mask of the cells that break a rule, by the text of the rule.
 
     spec    spec of the atlas
     slices  cells of the tile
@@ -65,9 +68,10 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    """Return the masks of cells that break a rule, by the rule.
+    """Do the work of ``broken_rules`` for an atlas of all attractors.
 
-    The rules of one attractor are checked for each attractor of a cell, the rules of the list once: shares and order.
+    The rules about one attractor are checked for each attractor of a cell. The rules about all attractors of a cell,
+    such as the sum and the order of their shares, are checked once.
     """
     many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra_dims}
     shape = tuple(part.stop - part.start for part in slices)
@@ -108,7 +112,7 @@ def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Yield (rule as text, mask of the cells that break the rule) for every rule that the results must obey."""
+    """Yield every rule that the results must obey, as pairs of its text and the mask of the cells that break it."""
     regime = arrays[REGIME.name]
     yield f"regime is not one of {NO_IMPACT} to {REGULAR}", ~((regime >= NO_IMPACT) & (regime <= REGULAR))
     if spec.settings.exponents != "none":
@@ -171,14 +175,16 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Yield (rule as text, mask of cells that break it) for impact speeds: slowest <= mean <= fastest."""
+    """Yield the rules about impact speeds, slowest <= mean <= fastest, as pairs of text and mask of the cells that
+    break it.
+    """
     names = [name for name in ("min_impact_speed", "mean_impact_speed", "max_impact_speed") if name in arrays]
     for slower, faster in pairwise(names):
         yield f"{slower} is above {faster}", arrays[slower] > arrays[faster] * (1 + 1e-9)
 
 
 def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:
-    """Return the mask of the cells whose reason stands in the table of reasons for their regime."""
+    """Return the mask of the cells whose reason for an uncertain result is possible in their regime."""
     fits = np.zeros(regime.shape, dtype=bool)
     for known in REASONS:
         fits |= (reason == known.code) & (regime == known.regime)
@@ -223,7 +229,7 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 
 
 def _cycles(arrays: Arrays) -> NDArray[np.float64]:
-    """Return the periods of cycles without a force; NaN for other cells."""
+    """Return the periods of limit cycles of a machine without a force, from the results; NaN for other cells."""
     return arrays.get("cycle_period", np.full(arrays[REGIME.name].shape, np.nan))
 
 
@@ -279,7 +285,7 @@ def _rest_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     """Yield (rule as text, mask of cells that break it): the sum of the exponents obeys its exact law.
 
-    It applies to cells to which the solver gave a defect, since there the law holds.
+    The rule applies to cells for which the solver stored ``sum_law_defect``, since there the law holds.
     """
     regime, defect, mean = arrays[REGIME.name], arrays["sum_law_defect"], arrays["impacts_per_period"]
     total = arrays["spectrum"].sum(axis=-1)
@@ -297,7 +303,8 @@ def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, 
 def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the exact sum of the exponents without impact, and its change by one impact per period.
 
-    Both are arrays that broadcast to the cells of a tile. Both are NaN without an oscillator, the second also if R = 0.
+    Both are arrays that broadcast to the cells in ``slices``. Both are NaN for parameters that admit no machine, the
+    second also if R = 0.
     """
     params = spec.cell_params(slices)
     axes = {name: tuple(sorted(set(values))) for name, values in spec.points.items()}

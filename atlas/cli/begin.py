@@ -15,7 +15,7 @@ from atlas.spec.system import parse_system, unused_lines
 from workers.model.system import System, find_system, system_names
 
 EXAMPLE = "omega-b"
-"""The example that the demo computes."""
+"""Name of the packaged example that the demo computes."""
 
 
 @click.command(epilog=examples("atlas demo", "atlas demo my-folder"))
@@ -78,7 +78,9 @@ def schema() -> None:
 
 
 def _print_system(system: System) -> None:
-    """Print title, equation, picture, parameters, results of its own, source and usual axes of a system."""
+    """Print a description of a system: title, equation, picture, parameters, results of its own, source and usual
+    axes.
+    """
     click.echo(f"{system.name}: {system.title}")
     for part in (equation_of(system), system.picture):
         if part.strip():

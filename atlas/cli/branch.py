@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from atlas.orbits.branches.seed import BranchSeed
 
 TABLES = ("csv", "json")
-"""Formats of files of branches, besides pictures."""
+"""File formats, besides pictures, in which branches can be written."""
 
 
 @click.command(
@@ -131,7 +131,7 @@ def branch(
 
 
 def summary(branches: BranchTable) -> dict[str, Any]:
-    """Return branches as plain values, without their points."""
+    """Return branches and events as dicts and lists for JSON, without the solution points."""
     return {
         "system": branches.system.name,
         "parameters": dict(branches.parameters),
@@ -156,7 +156,10 @@ def _seed(
     system: str,
     options: dict[str, Any],
 ) -> "BranchSeed":
-    """Return the orbit of the requested cell."""
+    """Return the orbit from which branches start: of a stored cell if ``store`` is given, else of a cell solved here.
+
+    ``show`` is called with the progress.
+    """
     check_cell_options(store)
     if store is None:
         record, pairs, settings = resolve_cell(parameters, system, options)
@@ -169,7 +172,7 @@ def _seed(
 
 
 def _print(branches: BranchTable) -> None:
-    """Print a table of events, and how each branch ends."""
+    """Print a table of the events on the branches, and why each branch ends."""
     cycles = [CYCLE_PERIOD.name] if branches.system.definition.unforced else []
     events = [event for traced in branches.traced for event in traced.run.events]
     rows = [
@@ -206,7 +209,7 @@ def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:
 
 
 def _write(branches: BranchTable, out: Path, look: dict[str, Any]) -> None:
-    """Write the points as CSV, everything as JSON, or a picture."""
+    """Write branches to a file: the points as CSV, everything as JSON, or a picture, by the suffix of ``out``."""
     suffix = out.suffix.lower()
     if suffix == ".csv":
         write_table(out, branches.points)

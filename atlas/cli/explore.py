@@ -33,7 +33,7 @@ from atlas.errors import InputError
 from atlas.service.progress import prepare_kernels
 
 PACKAGED = "omega-b"
-"""The default subject of the explorer."""
+"""Name of the packaged example that the explorer opens by default."""
 
 
 @click.command(
@@ -117,7 +117,10 @@ def explore(
 
 
 def write(ctx: click.Context, subject: str, selection: Numbers, window: Bounds, out: Path) -> None:
-    """Write the page of a store; raise InputError for an option of the explorer in the browser."""
+    """Write an atlas as one HTML page, for ``atlas explore -o``.
+
+    Raise InputError for an option that only applies to the explorer in the browser.
+    """
     for option in options_given(ctx):
         if option.name not in ("subject", "storage_option", "select", "window", "out"):
             name = "/".join([option.opts[-1], *option.secondary_opts])

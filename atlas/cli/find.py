@@ -32,7 +32,7 @@ from atlas.query.export import check_target, write_table
 from atlas.service.options import RunOptions
 
 MAX_ROWS = 40
-"""Maximum number of rows that a terminal shows; ``--json`` and ``-o`` have all."""
+"""Maximum number of rows of a table that a terminal shows; ``--json`` and ``-o`` give all."""
 _PATTERN = ("regime", "period", "impacts")
 _list_option = out_option("Write the whole list to a .csv file instead.")
 _DEFAULTS = {budget.name: budget.default for budget in fields(CurveSettings)}
@@ -185,7 +185,9 @@ def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
 
 
 def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out: Path | None, as_json: bool) -> bool:
-    """Write the rows to the file of -o, or print JSON for --json; return False without either option."""
+    """Write rows to the file of the option -o, or print ``message`` for --json; return False if neither option is
+    given.
+    """
     if out is not None:
         import pandas as pd
 

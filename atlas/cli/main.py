@@ -17,7 +17,10 @@ from atlas.errors import InputError, RunError, brief_repr, to_one_line
 from workers.model.parameter import unknown_name
 
 _Table = Mapping[str, Mapping[str, tuple[str, str]]]
-"""Commands by section and name, in the order of their use: the function, by its module, and a summary of one line."""
+"""Commands by section of the help and by name. Each has the function, as "module:function", and a summary of one line.
+
+Sections and commands are in the order of their use.
+"""
 _COMMANDS: _Table = {
     "To begin": {
         "demo": ("begin.demo", "Compute, draw and count a plane, in a minute or two."),
@@ -82,11 +85,13 @@ _MEANT = {
     "solve": "run", "compute": "run", "new": "example", "examples": "example", "check": "verify", "repair": "verify",
     "help": "--help",
 }  # fmt: skip
-"""Words for a command that a newcomer may try first."""
+"""Words that a newcomer may try in place of a command, with the command that is meant."""
 
 
 class _Commands(Mapping[str, click.Command]):
-    """The commands of a table by name; looking one up imports its module."""
+    """The commands of a table by name, as click commands. A command's module is imported when the command is looked
+    up.
+    """
 
     def __init__(self, table: _Table) -> None:
         self._homes = {name: home for section in table.values() for name, (home, _) in section.items()}
@@ -110,7 +115,7 @@ class _BadInput(click.ClickException):
 
 
 def _flush_or_drop(stream: Any) -> None:
-    """Write the buffer of a stream, or drop it if its reader has gone: Python would complain at its end."""
+    """Write out the buffer of a stream, or drop it if the reader of a pipe has gone: Python would complain at exit."""
     try:
         stream.flush()
     except BrokenPipeError:
@@ -118,13 +123,15 @@ def _flush_or_drop(stream: Any) -> None:
 
 
 def _bad_usage(error: click.UsageError) -> _BadInput:
-    """Return click's message about a wrong command line, without the usage before it."""
+    """Convert click's error about a wrong command line to an error of one line, without the usage text."""
     where = error.ctx.command_path if error.ctx else "atlas"
     return _BadInput(to_one_line(f"{error.format_message().rstrip('.')} (see {where} --help)"))
 
 
 class _Group(click.Group):
-    """A group of commands whose errors end in one line: exit code 1 failed, 2 bad usage or input, 130 interrupted."""
+    """A group of commands. Any error ends in one line and an exit code: 1 failed, 2 bad usage or input, 130
+    interrupted.
+    """
 
     def __init__(self, name: str, table: _Table, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -185,7 +192,7 @@ class _Group(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands by section, each in a line; no command is imported."""
+        """Write the commands of the group into its help, by section, a line each; no command's module is imported."""
         width = max(map(len, self.commands))
         for title, section in self.table.items():
             with formatter.section(title):

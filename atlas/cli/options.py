@@ -1,4 +1,4 @@
-"""Options that commands share, and how their texts are read and checked."""
+"""Options that commands share, and functions that read and check the texts of options."""
 
 import math
 import os
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 PLACE = click.Path(readable=False)
-"""A path or a URL as it was typed, or the name of an example; the shell completes it as a path."""
+"""Type of an argument that is a path, a URL or the name of an example. It is not checked; the shell completes paths."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 _T = TypeVar("_T")
@@ -48,7 +48,7 @@ dashboard_option = click.option(
 )
 Numbers: TypeAlias = dict[str, float]
 Bounds: TypeAlias = dict[str, tuple[float, float]]
-"""The values of an option given as NAME=VALUE, and as NAME=LOW:HIGH."""
+"""Type of an option's values by name: Numbers if given as NAME=VALUE, Bounds if given as NAME=LOW:HIGH."""
 spec_argument = click.argument("spec", type=PLACE)
 system_option = click.option(
     "--system",
@@ -68,7 +68,7 @@ starts_option = click.option(
 
 
 def out_option(words: str, required: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the option -o of a file or a folder to write."""
+    """Return a decorator that adds the option -o, a file or a folder to write, with the help text ``words``."""
     return click.option("-o", "--out", type=click.Path(path_type=Path), required=required, help=words)
 
 
@@ -78,12 +78,12 @@ picture_option = out_option("The picture; the suffix chooses the format.", requi
 def pairs_option(
     name: str, metavar: str, words: str, read: Callable[[str, str], Any], *dest: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a repeatable option given as NAME=VALUE, which the command receives as a dict.
+    """Return a decorator that adds a repeatable option NAME=VALUE; the command receives a dict.
 
     name     name of the option
     metavar  form of its value in the help
     words    help text
-    read     function that converts a value, called with its place and text
+    read     function that converts a value, called with the text that names it in messages and its own text
     dest     parameter of the command, by default from the name
     """
 
@@ -94,10 +94,10 @@ def pairs_option(
 
 
 def storage_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the option --storage-option; if given, the command gets backends for its URLs.
+    """Decorate a command with the option --storage-option, access options for URLs.
 
-    Commands only open a store or print its name, for which a backend does as well as a text. Raise InputError if the
-    option is given and the command has no URL.
+    If the option is given, the command receives backends in place of its URLs, which open in the same way. Raise
+    InputError if the option is given and the command has no URL.
     """
 
     @pairs_option(
@@ -124,12 +124,12 @@ def storage_option(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def store_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the argument STORE, a path or a URL."""
+    """Decorate a command with the argument STORE, a path or a URL, and with the option --storage-option."""
     return click.argument("store", type=PLACE)(storage_option(command))
 
 
 def maybe_store_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the optional argument STORE."""
+    """Decorate a command with the optional argument STORE, and with the option --storage-option."""
     return click.argument("store", required=False, type=PLACE)(storage_option(command))
 
 
@@ -160,10 +160,7 @@ def figure_options(*without: str) -> Callable[[Callable[..., None]], Callable[..
 
 
 def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds an option for every setting, except for those in ``without``.
-
-    The options are made from the record of settings itself.
-    """
+    """Return a decorator that adds an option for every field of Settings, except for those in ``without``."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         choices = {name: click.Choice(known) for name, known in VALID_WORDS.items()}
@@ -179,12 +176,12 @@ def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[
 
 
 def examples(*lines: str) -> str:
-    """Return the end of a command's help: example command lines."""
+    """Return example command lines as the last part of a command's help."""
     return _as_it_stands("Examples:", lines)
 
 
 def meanings(title: str, words: Mapping[str, str]) -> str:
-    """Return a part of a command's help: names and meanings."""
+    """Return names and their meanings as a part of a command's help, with a title."""
     width = max(map(len, words))
     return _as_it_stands(title, [f"{name:{width}}  {meaning}" for name, meaning in words.items()])
 
@@ -194,7 +191,10 @@ def _as_it_stands(title: str, lines: Iterable[str]) -> str:
 
 
 def check_cell_options(store: str | None) -> None:
-    """Raise InputError for an option of the current command that contradicts a cell of a STORE, or needs one."""
+    """Check the options of a command about one cell, which is a cell of ``store`` or given by its parameters.
+
+    Raise InputError for an option that is meant for the other case.
+    """
     context = click.get_current_context()
     settings = {field.name for field in fields(Settings)}
     wrong = {"point", "select"} if store is None else {"parameters", "system"} | settings
@@ -207,23 +207,23 @@ def check_cell_options(store: str | None) -> None:
 
 
 def options_given(context: click.Context) -> Iterator[click.Parameter]:
-    """Yield the options and arguments of a command that stand on the command line."""
+    """Yield those options and arguments of a command that the user gave on the command line."""
     for option in context.command.params:
         if context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE:
             yield option
 
 
 def resolve_cell(parameters: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
-    """Return the system, the checked parameters and the settings of a cell that is given on the command line."""
+    """Return the system, the checked parameters and the settings of a cell from the values of command-line options."""
     settings, record = parse_settings(solve), parse_system(system)
     validate_parameters(record, parameters)
     return record, parameters, observable_settings(settings, record)
 
 
 def open_selection(store: str | StoreBackend, selection: Mapping[str, float]) -> "xr.Dataset":
-    """Return the atlas of a STORE at these values of some axes.
+    """Open the atlas of a STORE at the given values of some of its axes.
 
-    For a value between two cells, the nearest cell is printed.
+    If a value lies between two cells, the nearest cell is taken, and a line about it is printed.
     """
     from atlas.query.open import open_atlas
     from atlas.query.window import select
@@ -236,18 +236,20 @@ def open_selection(store: str | StoreBackend, selection: Mapping[str, float]) ->
 
 
 def print_status(text: str) -> None:
-    """Print a line for the user on stderr; drop it if its reader has gone."""
+    """Print a line for the user on stderr; do nothing if the reader of a pipe has gone."""
     with suppress(BrokenPipeError):
         click.echo(text, err=True)
 
 
 def timing_of(ctx: click.Context) -> Timing:
-    """Return the waiting times: the ``obj`` that a caller in Python gives the command, or the defaults."""
+    """Return the waiting times of a command: the times that a caller in Python passes as click's ``obj``, or the
+    defaults.
+    """
     return ctx.find_object(Timing) or TIMING
 
 
 def worker_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the options --scheduler, --workers and --dashboard.
+    """Decorate a command with the options --scheduler, --workers and --dashboard.
 
     The command receives them as ``RunOptions``.
     """
@@ -267,17 +269,17 @@ def worker_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def check_workers(scheduler: str | None, workers: int | None) -> None:
-    """Raise InputError if both options are given."""
+    """Raise InputError if both a scheduler and a number of workers are given."""
     if scheduler is not None and workers is not None:
         raise InputError("--workers starts local processes, --scheduler uses an existing cluster; give only one")
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """End the block on Ctrl-C, or on the SIGTERM of a batch system.
+    """End the block in order on Ctrl-C, or on the SIGTERM of a batch system.
 
-    The first signal ends it in order, the second at once. Ending at once loses only the unfinished tiles: the next run
-    recognises that this process no longer runs.
+    The first signal raises KeyboardInterrupt in the block, the second ends the process at once. Ending at once loses
+    only the unfinished tiles: the next run recognises that this process no longer runs.
     """
 
     def second(number: int, frame: FrameType | None) -> None:
@@ -301,7 +303,11 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def input_errors() -> Iterator[None]:
-    """Turn errors of queries and pictures into bad input: one line, exit code 2. A damaged chunk is no bad input."""
+    """Convert errors of queries and pictures within the block into an InputError, for exit code 2 and a message of one
+    line.
+
+    A ChunkError, about a damaged chunk, passes: it is no bad input.
+    """
     try:
         yield
     except (NetworkError, BrokenPipeError):
@@ -318,9 +324,11 @@ def input_errors() -> Iterator[None]:
 
 
 def read_pairs(option: str, pairs: tuple[str, ...], read: Callable[[str, str], _T]) -> dict[str, _T]:
-    """Return the values of an option given as NAME=VALUE, by name.
+    """Convert the texts NAME=VALUE of a repeatable option to a dict of values by name.
 
-    ``read`` is called with the place of a value, for messages, and its text.
+    option  name of the option
+    pairs   the texts
+    read    function that converts a value, called with the text that names it in messages and its own text
     """
     values: dict[str, _T] = {}
     for item in pairs:
@@ -334,7 +342,7 @@ def read_pairs(option: str, pairs: tuple[str, ...], read: Callable[[str, str], _
 
 
 def read_number(where: str, value: str) -> float:
-    """Return the number in a text."""
+    """Return the number in a text. Raise InputError, beginning with ``where``, if it is no number."""
     try:
         return float(value)
     except ValueError:
@@ -342,14 +350,14 @@ def read_number(where: str, value: str) -> float:
 
 
 def read_factors(factors: tuple[str, ...]) -> int | dict[str, int]:
-    """Return one factor for all axes, or factors by name."""
+    """Convert the texts of the option --refine: one factor for all axes, or factors by name."""
     if len(factors) == 1 and "=" not in factors[0]:
         return read_whole("--refine", factors[0])
     return read_pairs("--refine", factors, read_whole)
 
 
 def read_whole(where: str, value: str) -> int:
-    """Return the whole number in a text."""
+    """Return the whole number in a text. Raise InputError, beginning with ``where``, for any other text."""
     try:
         return int(value)
     except ValueError:
@@ -357,7 +365,7 @@ def read_whole(where: str, value: str) -> int:
 
 
 def read_bounds(where: str, value: str) -> tuple[float, float]:
-    """Return the two numbers of LOW:HIGH."""
+    """Return the two numbers in a text LOW:HIGH. Raise InputError, beginning with ``where``, for another form."""
     low, colon, high = value.partition(":")
     if not colon:
         raise InputError(f"{where}: found {brief_repr(value)}, must be LOW:HIGH")

@@ -4,13 +4,15 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import click
 import numpy as np
 
+from atlas.formatting import Summary
+
 _WIDE = 10_000
-"""Width, in characters, of the lines of a table if stdout is no terminal: wider than any table."""
+"""Width, in characters, of the lines of a table if stdout is no terminal; no table is wider."""
 
 
 def to_json(value: Any) -> str:
@@ -19,7 +21,7 @@ def to_json(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return the value in JSON's types: NaN as None, infinities as "inf" and "-inf", arrays and tuples as lists."""
+    """Convert a value to JSON's types: NaN to None, infinities to "inf" and "-inf", arrays and tuples to lists."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -31,14 +33,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-class Result(Protocol):
-    """A result of a command: its text for people, and a dict for JSON."""
-
-    def as_dict(self) -> Mapping[str, Any]:
-        """Return the result as plain values."""
-
-
-def emit(result: Result, as_json: bool) -> None:
+def emit(result: Summary, as_json: bool) -> None:
     """Print a result as one JSON object, or as its text."""
     click.echo(to_json(result.as_dict()) if as_json else str(result))
 
@@ -62,7 +57,10 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
 
 
 def print_values(values: Mapping[str, Any], listed: str = "") -> None:
-    """Print names and values as a table, and the attractors that the value ``listed`` contains as another."""
+    """Print names and values as a table.
+
+    If ``listed`` is the name of a value that is a list of attractors, the list is printed as a second table.
+    """
     print_table("", ["", ""], [(name, text(value)) for name, value in values.items() if name != listed])
     several: Sequence[Mapping[str, Any]] = values.get(listed, [])
     if several:
@@ -72,7 +70,7 @@ def print_values(values: Mapping[str, Any], listed: str = "") -> None:
 
 
 def text(value: Any) -> str:
-    """Return a result as text for people: numbers to ten digits, yes and no, lists in brackets."""
+    """Return a single result as text for people: numbers to ten digits, yes and no, lists in brackets."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, bool):

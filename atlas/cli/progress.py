@@ -1,4 +1,4 @@
-"""Progress of a run on a terminal and in a log."""
+"""Display of the progress of a run: a bar on a terminal, or lines in a log."""
 
 import sys
 import time
@@ -12,16 +12,19 @@ import click
 
 from atlas.cli.options import INTERRUPTED, interruptible, print_status
 from atlas.service.options import RunOptions
-from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.task.compile import kernels_for
 from workers import Settings
 from workers.model.system import System
+
+LOG_INTERVAL = 5.0
+"""Length, in seconds, of the interval between two lines in a log."""
 
 Report = Callable[[Progress], None]
 
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
-    """Return a reporter with a progress bar if the stream is a terminal, else with a plain line every few seconds."""
+    """Return an object that shows progress: a bar if the stream is a terminal, else a plain line every few seconds."""
     return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
 
 
@@ -29,9 +32,9 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
 def resumable(
     ctx: click.Context, options: RunOptions, of: Callable[[Report], Report] = lambda show: show
 ) -> Iterator[RunOptions]:
-    """Yield the options of a command on a store, with a progress display; after Ctrl-C end with advice to resume.
+    """Yield the options of a command that can be resumed, with a display of its progress.
 
-    ``of`` may wrap the function that shows the progress.
+    After Ctrl-C end the command with the advice to run it again. ``of`` may wrap the function that shows the progress.
     """
     try:
         with interruptible(), reporter(sys.stderr) as show:
@@ -43,7 +46,10 @@ def resumable(
 
 @contextmanager
 def show_solving(system: System, *kernels: str, settings: Settings | None = None) -> Iterator[None]:
-    """Show on stderr that one cell is being solved, once the kernels of its system and ``kernels`` are ready."""
+    """Show on stderr, during the block, that one cell is being solved.
+
+    Before, the kernels that its system needs, and ``kernels``, are compiled unless they are in the cache.
+    """
     with reporter(sys.stderr) as show:
         prepare_kernels(show, *kernels_for(system, *kernels, settings=settings))
         show(Progress("solving"))
@@ -51,16 +57,14 @@ def show_solving(system: System, *kernels: str, settings: Settings | None = None
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):
-    """Prints plain lines: every new stage at once, then a line every few seconds, if it is new."""
+    """Prints progress as plain lines: every new stage at once, then a line every few seconds if it has changed."""
 
     def __init__(self, stream: IO[str], interval: float = LOG_INTERVAL) -> None:
         self._stream, self._interval = stream, interval
         self._stage, self._line, self._planned, self._last = "", "", False, 0.0
 
     def __call__(self, progress: Progress) -> None:
-        """Print the snapshot if the last line is old enough."""
-        if progress.transient:
-            return
+        """Print a line for the progress if its stage is new or the last line is old enough."""
         if progress.plan and not self._planned:
             self._planned = True
             self._print(str(progress.plan))
@@ -70,8 +74,8 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._print(progress.stage)
         elif time.monotonic() - self._last >= self._interval:
             self._last = time.monotonic()
-            if progress.format_line != self._line:
-                self._line = progress.format_line
+            if str(progress) != self._line:
+                self._line = str(progress)
                 self._print(self._line)
         if progress.note:
             self._print(progress.note)
@@ -85,7 +89,9 @@ class LogReporter(AbstractContextManager["LogReporter"]):
 
 
 class TerminalReporter(AbstractContextManager["TerminalReporter"]):
-    """A progress bar that keeps moving between tiles: cells per second and time left, and below it the regimes."""
+    """Shows a progress bar that keeps moving between tiles: cells per second and time left, and below it the
+    regimes.
+    """
 
     def __init__(self, stream: IO[str]) -> None:
         from rich.console import Console, Group
@@ -108,7 +114,7 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
         self._planned = False
 
     def __call__(self, progress: Progress) -> None:
-        """Update the bar."""
+        """Update the bar from a Progress."""
         plan = progress.plan
         if plan and not self._planned:
             self._planned = True
@@ -132,6 +138,6 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Remove the bar: a summary or an error follows."""
+        """Remove the bar, since a summary or an error follows."""
         self._live.transient = True
         self._live.stop()

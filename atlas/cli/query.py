@@ -112,7 +112,7 @@ def basin_measures(store: str, window: Bounds, select: Numbers, as_json: bool) -
 
 
 def _measured(ds: "xr.Dataset") -> str:
-    """Return what the shares of regimes refer to, since cells of unequal size have unequal weight."""
+    """Return a text about what the shares of regimes refer to: cells of unequal size count by their area."""
     from atlas.query.window import axis_names
     from atlas.spec.points import POINT
 
@@ -124,7 +124,10 @@ def _measured(ds: "xr.Dataset") -> str:
 def open_question(
     store: str, select: Numbers, window: Bounds, counted: bool = False
 ) -> Iterator[tuple["xr.Dataset", "Window"]]:
-    """Yield the dataset and the window of a query; with ``counted`` print the number of chunks read at the end."""
+    """Open a store for a query, and yield the selected dataset and the window.
+
+    With ``counted`` print the number of chunks read at the end.
+    """
     from atlas.query import read_counter
 
     with input_errors(), read_counter.count_chunk_reads() as cost:

@@ -110,19 +110,19 @@ def plan(
 
 
 def _read(spec: str, points: str | None, observe: str | None) -> Spec:
-    """Return the spec, with the options --points and --observe."""
+    """Return the spec of a command, with its options --points and --observe applied."""
     read = Spec.from_toml(spec, points)
     return read if observe is None else read.with_observables(observe)
 
 
 def _out_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the option of the store that is created or completed."""
+    """Decorate a command with the option -o, the store that is created or completed."""
     words = "The store to create or complete, a path or a URL."
     return click.option("-o", "--out", type=PLACE, required=True, help=words)(storage_option(command))
 
 
 def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the options of an encrypted connection to a scheduler."""
+    """Decorate a command with the options of an encrypted connection to a scheduler."""
     for option in (
         click.option("--tls-key", type=PLACE, metavar="FILE", help="The key of that certificate."),
         click.option("--tls-cert", type=PLACE, metavar="FILE", help="This program's certificate."),
@@ -260,7 +260,10 @@ def extend(
 
 @contextmanager
 def _logged(path: str | None) -> Iterator[None]:
-    """Append the log of the package to a file; raise InputError if the file cannot be written."""
+    """Append the log messages of the package to a file within the block; do nothing if ``path`` is None.
+
+    Raise InputError if the file cannot be written.
+    """
     if path is None:
         yield
         return
@@ -282,12 +285,12 @@ def _logged(path: str | None) -> Iterator[None]:
 
 
 def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> Tls | None:
-    """Return the files of an encrypted connection; None if no file is given."""
+    """Return the given files of an encrypted connection as one record; None if no file is given."""
     return Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
 
 
 def _report(ctx: click.Context, summary: RunSummary) -> None:
-    """Print the summary of a run, and exit with 1 if a tile failed."""
+    """Print the summary of a run, and end the command with exit code 1 if a tile failed."""
     click.echo(str(summary))
     for worker, reason in summary.refused.items():
         print_status(f"worker {worker} was excluded: {reason}")

@@ -1,3 +1,4 @@
-"""The explorer: a page in the browser that shows a plane in any window, at any zoom level, and solves the visible
-cells.
+"""The explorer: a page in the browser that shows a plane of an atlas in any window and at any zoom level.
+
+Cells that are visible and not yet known are solved on a Dask cluster.
 """

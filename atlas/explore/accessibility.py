@@ -1,4 +1,4 @@
-"""Access to the page by keyboard, touch and screen reader: visible focus, sizes, names and keys.
+"""Access to the explorer's page by keyboard, touch and screen reader: visible focus, sizes, names and keys.
 
 Arrows move the window, + and - zoom it, and two fingers zoom. Enter on the plane chooses the cell in its middle. Esc
 ends a followed orbit, the cut or an enlarged picture.
@@ -24,12 +24,12 @@ HEAD = """
 
 
 def accessible_name(text: str) -> dict[str, Any]:
-    """Return the attributes of a model whose parts have this name as a group."""
+    """Return the HTML attributes by which a screen reader announces a Bokeh model as a group with the name ``text``."""
     return {"role": "group", "aria-label": text}
 
 
 def make_accessible(document: Document) -> None:
-    """Show the focus in all widgets, and name the elements that have no label of their own."""
+    """Mark the focused widget of a page visibly, and have the browser name the elements that have no label."""
     document.template = HEAD
     document.template_variables["page_script"] = page_script()
     document.theme = Theme(json={"attrs": {"Widget": {"stylesheets": [FOCUS]}, "Toolbar": {"stylesheets": [FOCUS]}}})
@@ -43,11 +43,11 @@ def install_key_handler(
     escape: Callable[[], None],
     choose: Callable[[float, float], None],
 ) -> ColumnDataSource:
-    """Install the key handler of a page, and return the source that has to be sent along with the page.
+    """Install the key handler of a page, and return the Bokeh data source with which the browser reports the keys.
 
-    document      the document of the page
+    document      the document of the page, of which the returned source must become a part
     plot          the plot of the plane
-    show_window   called with the windows (x, y) that keys or fingers ask for
+    show_window   called with the new limits (low, high) of both axes when keys or fingers move or zoom the window
     escape        called for Esc
     choose        called with the point (x, y) of the cell that Enter chooses
     """

@@ -1,4 +1,4 @@
-"""Actions of a page: a picture of the viewport as a file, the motion of a cell, the spec of a new atlas."""
+"""Actions of an explorer page: saving its picture as a file, the motion of a cell, and the spec of a new atlas."""
 
 import tempfile
 from dataclasses import dataclass, replace
@@ -22,12 +22,12 @@ MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 
 
 def picture_file(explorer: Explorer, view: ViewState, viewport: Viewport, suffix: str, limits: Ends) -> tuple[str, str]:
-    """Return the picture of the viewport as a file: its name, and its content as a data URL.
+    """Return the picture of the visible cells as a file: its name, and its content as a data URL.
 
-    explorer   the explorer
-    view       the view state
+    explorer   the explorer that knows the cells
+    view       the view state of the page, with the kind of map and the overlays
     viewport   the visible cells
-    suffix     png, svg or pdf
+    suffix     format of the file: png, svg or pdf
     limits     colour limits of the map
     """
     subject = explorer.subject
@@ -40,19 +40,22 @@ def picture_file(explorer: Explorer, view: ViewState, viewport: Viewport, suffix
 
 
 def orbit_of(subject: Subject, cell: CellResult) -> CellTrajectory:
-    """Return the motion of a cell, solved as the cell was. Raise InputError if the cell has no motion to show."""
+    """Return the motion of a cell, simulated with the settings with which the cell was solved.
+
+    Raise InputError if the cell has no motion to show.
+    """
     settings = subject.spec.settings if cell.of_atlas else subject.settings
     return cell_orbit(cell.parameters, subject.system, settings)
 
 
 @dataclass(frozen=True)
 class NewAtlasSpec:
-    """The spec of a new atlas.
+    """The spec file of a new atlas, as written from an explorer page.
 
     file   path of the spec
     text   contents of the spec
     line   command that computes the atlas
-    cost   estimated cost, as text
+    cost   estimated cost of the computation, as text
     """
 
     file: Path
@@ -62,16 +65,16 @@ class NewAtlasSpec:
 
 
 def new_atlas(subject: Subject, view: ViewState, x: Range, y: Range, cells: int, folder: Path) -> NewAtlasSpec:
-    """Write the spec of a window as a new file in a folder, and return it with its estimated cost.
+    """Write the spec of a window of the plane as a new file in a folder, and return it with its estimated cost.
 
-    subject   the subject
-    view      the view state, which gives the plane
-    x, y      limits (low, high) of the axes
-    cells     number of cells across
-    folder    the folder
+    subject   the subject that is explored, whose system and settings the spec takes over
+    view      the view state of the page, which gives the values of the fixed parameters
+    x, y      limits (low, high) of the axes of the new atlas
+    cells     number of cells along the horizontal axis
+    folder    the folder of the new file
 
-    The settings are those of the subject's spec, and so are the initial states if the spec searches all attractors.
-    Raise OSError if the file cannot be written.
+    If the subject's spec searches all attractors, the new spec does, too, from the same initial states. Raise OSError
+    if the file cannot be written.
     """
     shape = (x[1] - x[0], y[1] - y[0]), (view.x[1] - view.x[0], view.y[1] - view.y[0])
     up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))

@@ -1,4 +1,4 @@
-"""All attractors of the clicked cell, from the store or else searched on the cluster, and their panel."""
+"""All attractors of the clicked cell, read from the store or else searched on the cluster, and their panel."""
 
 import html
 import math
@@ -34,9 +34,9 @@ ALL = "<h4>all attractors of this cell</h4>"
 
 @dataclass(frozen=True)
 class AttractorListing:
-    """The stored attractors of a cell, the largest share first.
+    """The attractors of a cell, the attractor that most initial states reach first.
 
-    listed      numbers of each attractor, by name
+    listed      results of each listed attractor, such as its regime, period and share of the initial states, by name
     count       number of attractors, including those beyond ``listed``
     starts      number of initial states solved
     undecided   number of initial states whose attractor is unknown
@@ -57,9 +57,9 @@ class AttractorListing:
 
 
 def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | None:
-    """Return the attractors of a cell of an atlas that stores all of them, or the reason why no search is possible.
+    """Return the attractors that the store holds of a cell, or a listing with the reason why none can be found.
 
-    Return None if the attractors have to be searched.
+    Return None if the attractors are not stored and have to be searched.
     """
     if not subject.can_search_attractors:
         return AttractorListing(trouble='all attractors are found only by the method "adaptive"')
@@ -72,14 +72,14 @@ def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | 
 
 
 def attractor_computation(subject: Subject, cell: CellResult) -> Computation[AttractorListing]:
-    """Return the computation that searches all attractors of a cell."""
+    """Return the computation that searches all attractors of a cell on a worker."""
     plane, x, y = subject.point(cell.parameters)
     patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
     return Computation(solve_patch, patch, partial(_solved, subject), n_cells=1)
 
 
 def _solved(subject: Subject, arrays: Arrays) -> AttractorListing:
-    """Return the attractors of the only cell in these results."""
+    """Return the attractors of a single cell from the result arrays of a search."""
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
     return _answer(attractors_solved(cell, variables), stored=False)
@@ -93,7 +93,7 @@ def _answer(numbers: Mapping[str, Any], stored: bool) -> AttractorListing:
 
 
 class AttractorsPanel(Panel[CellResult]):
-    """The panel with the table of attractors; their portraits are sent to ``motion``."""
+    """The panel with the table of a cell's attractors; it sends their phase portraits to the panel ``motion``."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, motion: MotionPanel) -> None:
         super().__init__(explorer, background)
@@ -110,7 +110,7 @@ class AttractorsPanel(Panel[CellResult]):
         self.panel.text = ""
 
     def show_error(self, reason: str) -> None:
-        """Show the reason why there are no attractors."""
+        """Show the reason why no attractors can be listed."""
         self._show(AttractorListing(trouble=reason))
 
     def _known(self, cell: CellResult, listing: AttractorListing | None) -> None:
@@ -123,7 +123,7 @@ class AttractorsPanel(Panel[CellResult]):
             self._take(cell, listing)
 
     def _take(self, cell: CellResult, listing: AttractorListing) -> None:
-        """Show attractors, and draw their portraits if there are several."""
+        """Show the attractors of a cell in the table, and draw their phase portraits if there are several."""
         self._show(listing)
         states = [attractor["state"] for attractor in listing.listed if "state" in attractor]
 
@@ -139,7 +139,7 @@ class AttractorsPanel(Panel[CellResult]):
 
 
 def attractors_table(listing: AttractorListing, subject: Subject) -> str:
-    """Return the attractors of a cell as an HTML table, with the certainty that the list is complete."""
+    """Return the attractors of a cell as an HTML table, with a bound on the share of an attractor that it may lack."""
     if listing.trouble:
         return f'<span class="trouble">{html.escape(listing.trouble)}</span>'
     if not listing.listed:
@@ -165,7 +165,12 @@ def attractors_table(listing: AttractorListing, subject: Subject) -> str:
 
 
 def _attractor(attractor: Mapping[str, Any], is_own: bool, exponents: bool, system: System) -> list[str]:
-    """Return the row of an attractor: class, orbit, exponent, and the share with its interval of 95 %."""
+    """Return the texts of an attractor's table row.
+
+    They are: a mark if the cell's own initial state reaches the attractor, its regime, its name by period and impacts,
+    its largest Lyapunov exponent if ``exponents``, and its share of the initial states with the interval of 95 %
+    confidence.
+    """
     orbit = f"{attractor['period']}-{impacts_of(system, attractor)}" if attractor["period"] else ""
     largest = [number(attractor[LARGEST.name], 3)] if exponents else []
     share, low, high = (100 * attractor[name] for name in ("share", "share_low", "share_high"))

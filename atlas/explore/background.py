@@ -1,4 +1,4 @@
-"""Long work of a page outside the document's thread; its results are shown in the document's thread."""
+"""Slow work of a page in threads of its own; the results are shown in the thread of the page's Bokeh document."""
 
 import logging
 import threading
@@ -13,15 +13,15 @@ from atlas.errors import InputError, RunError
 from atlas.explore.threads import why
 
 THREADS = 2
-"""Number of threads of a page: while a portrait is drawn, the cell under the pointer is still looked up."""
+"""Number of threads of a page: with two, the clicked cell is looked up even while portraits are computed."""
 
 Show = Callable[[], None]
 
 
 class BackgroundTasks:
-    """The threads of a page. It is created in the document's thread.
+    """The worker threads of a page. The object must be created in the document's thread.
 
-    document   the document of the page
+    document   the Bokeh document of the page
     on_error   called in the document's thread with the reason why some work failed
     """
 
@@ -31,7 +31,7 @@ class BackgroundTasks:
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
 
     def call_in_document(self, callback: Show) -> None:
-        """Call ``callback`` in the document's thread, as long as the document has a session."""
+        """Call ``callback`` in the document's thread; do nothing once the page is closed or its session has ended."""
         self._loop.add_callback(self._show, callback)
 
     def deferred_call(self, callback: Callable[..., None]) -> Callable[..., None]:
@@ -44,7 +44,11 @@ class BackgroundTasks:
             self._document.add_next_tick_callback(callback)
 
     def run(self, work: Callable[[], Show], on_error: Callable[[str], None] | None = None) -> None:
-        """Call ``work`` in a thread of the page, then its result, or ``on_error``, in the document's thread."""
+        """Call ``work`` in a thread of the page; then call the function that it returns in the document's thread.
+
+        If ``work`` fails, ``on_error`` is called there instead, with the reason. Its default is the handler of all the
+        work.
+        """
         refused = on_error or self.refuse
 
         def run_work() -> None:
@@ -62,7 +66,7 @@ class BackgroundTasks:
                 self._threads.submit(run_work)
 
     def close(self) -> None:
-        """Show no further results, and start no further work."""
+        """Discard the results of work in progress, and start no further work."""
         with self._lock:
             self.closed = True
         self._threads.shutdown(wait=False, cancel_futures=True)

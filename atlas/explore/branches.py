@@ -1,4 +1,8 @@
-"""Branches as the page draws them, and the branch of a cell's orbit with its orbits and neighbouring events."""
+"""The branch of periodic orbits through the orbit of a clicked cell, and branches as plot data of the page.
+
+A branch is a curve of orbits over one parameter, computed by numerical continuation. Its events are bifurcations and
+grazes.
+"""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -36,12 +40,12 @@ ENDS = {
     "budget": "most points", "stalled": "no further point found", "inadmissible": "orbit ceases",
     "shorter_orbit": "shorter orbit",
 }  # fmt: skip
-"""Words for the ends of a branch that are neither an event nor an end of the parameter range."""
+"""Words for the ends of a branch that are neither events nor ends of the parameter range, by reason."""
 
 
 @dataclass(frozen=True)
 class BranchDiagram:
-    """Branches over a parameter, by the gap coordinate.
+    """Branches of periodic orbits as lines over a parameter, by the gap coordinate (the displacement that stops limit).
 
     stretches   segments of equal stability: True if stable, parameter (N,), gap coordinate (N,)
     events      kind, parameter and gap coordinate of each event
@@ -52,8 +56,9 @@ class BranchDiagram:
 
     @classmethod
     def from_table(cls, table: BranchTable) -> "BranchDiagram":
-        """Return the diagram of all branches of a table and their mirror images; events of mirror images are not
-        marked.
+        """Return the diagram of all branches of a table and of their mirror images.
+
+        Events are marked on the branches themselves, not on their mirror images.
         """
         events = []
         for branch in table.traced:
@@ -64,11 +69,11 @@ class BranchDiagram:
 
 
 class BranchMarker(NamedTuple):
-    """An event of a branch, or its end.
+    """An event of a branch, or an end of the branch.
 
-    point_index   index of the point
-    kind          kind in words
-    value         parameter at the point
+    point_index   index, along the branch, of the solution point at the event
+    kind          kind of the event or end, in words
+    value         value of the parameter at the event
     """
 
     point_index: int
@@ -77,10 +82,10 @@ class BranchMarker(NamedTuple):
 
 
 class BranchPosition(NamedTuple):
-    """An orbit of a branch.
+    """An orbit on a branch: a computed solution point, or an orbit between two of them.
 
-    point_index   index of the orbit's point; of the point before, if the orbit lies between two points
-    value         parameter of the orbit
+    point_index   index of the orbit's solution point, or of the solution point before it along the branch
+    value         value of the parameter
     point         the orbit as a solution point
     kind          kind, in words, of the event at the orbit; empty if there is no event
     """
@@ -92,16 +97,16 @@ class BranchPosition(NamedTuple):
 
     @property
     def multiplier(self) -> float:
-        """The largest modulus of the multipliers of the orbit."""
+        """The largest modulus of the orbit's Floquet multipliers."""
         return modulus(self.point, self.point.orbit.itinerary)
 
 
 @dataclass(frozen=True)
 class FollowedBranch:
-    """The branch of a cell's orbit.
+    """The branch of periodic orbits that contains the orbit of a cell.
 
-    table       table with this branch only
-    own_index   index of the point that is the cell's own orbit
+    table       table of branches with this branch only
+    own_index   index of the solution point that is the cell's own orbit
     """
 
     table: BranchTable
@@ -109,18 +114,18 @@ class FollowedBranch:
 
     @property
     def branch(self) -> "Branch":
-        """The branch."""
+        """The branch itself."""
         return self.table.traced[0]
 
     @cached_property
     def values(self) -> list[float]:
-        """The parameter at each point."""
+        """The value of the parameter at each solution point of the branch."""
         values: list[float] = self.branch.values.tolist()
         return values
 
     @cached_property
     def events(self) -> list[BranchMarker]:
-        """The events of the branch, in order."""
+        """The events of the branch, in order along it."""
         events = zip(self.branch.event_indices, self.branch.run.events, strict=True)
         return [BranchMarker(k, event.kind.replace("_", " "), self.values[k]) for k, event in events]
 
@@ -134,9 +139,10 @@ class FollowedBranch:
         return {**self.table.parameters, self.table.along: value}
 
     def position_at(self, index: int, value: float) -> BranchPosition:
-        """Return the orbit at a value between point ``index`` and the next, by Newton's method.
+        """Return the orbit at a parameter value between the solution points ``index`` and ``index + 1``.
 
-        Return the orbit of the point if the method finds none or the value does not lie between the points.
+        The orbit is found by Newton's method. If it fails, or the value does not lie between the two points, return the
+        solution point ``index`` itself.
         """
         from workers.continuation import SolutionPoint
         from workers.continuation.equations import motion_of
@@ -155,8 +161,10 @@ class FollowedBranch:
         return BranchPosition(index, self.values[index], self.branch.run.points[index], kind)
 
     def find_point(self, value: float, position: BranchPosition) -> int | None:
-        """Return the index of the point at or after which the branch has a value, nearest along it; None if there is
-        none.
+        """Return where the branch next takes a parameter value: the index of the solution point there or just before.
+
+        Of several passes through the value the pass nearest to ``position`` along the branch counts. Return None if the
+        branch does not reach the value.
         """
         passes = [
             (abs(k + share - position.point_index), k + int(share == 1.0)) for k, share in self.branch.crossings(value)
@@ -164,7 +172,10 @@ class FollowedBranch:
         return min(passes)[1] if passes else None
 
     def neighbouring_events(self, position: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
-        """Return the events, or ends of the branch, before and after an orbit; None at an end of the range."""
+        """Return the nearest event, or end of the branch, before and after an orbit.
+
+        An element is None if the branch leaves the parameter range on that side before any event.
+        """
         last, ends = len(self.values) - 1, self.branch.run.ends
         marks = [
             BranchMarker(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS
@@ -180,10 +191,10 @@ class FollowedBranch:
         return (before[-1] if before else None), (after[0] if after else None)
 
     def motion(self, position: BranchPosition) -> MotionPlotData:
-        """Return the motion of an orbit over all its periods, in closed form from event to event, so unstable orbits
-        close.
+        """Return the plot data of an orbit over its whole period.
 
-        Its even steps start at the sections t = k T, or at the first event of a limit cycle.
+        The motion is evaluated in closed form from event to event, so that unstable orbits close, too. Its evenly
+        spaced times start at t = k T, the start of a forcing period T, or at the first event of a limit cycle.
         """
         from workers.continuation.equations import motion_of
         from workers.continuation.itinerary import many_orbits
@@ -204,7 +215,7 @@ class FollowedBranch:
 
 
 class EventArrow(NamedTuple):
-    """An arrow over the plane, from an orbit to an event or to the end of the visible range, with its text."""
+    """An arrow with a text over the plane, from an orbit to its next event or to the edge of the visible range."""
 
     x0: float
     y0: float
@@ -214,7 +225,7 @@ class EventArrow(NamedTuple):
 
 
 def distance(mark: BranchMarker, position: BranchPosition) -> str:
-    """Return the signed distance of an event along the parameter, with up to five digits."""
+    """Return the signed difference in the parameter from an orbit to an event, as text with up to five digits."""
     away = mark.value - position.value
     return f"{'+' if away > 0 else ''}{number(away, 5)}"
 
@@ -222,7 +233,13 @@ def distance(mark: BranchMarker, position: BranchPosition) -> str:
 def arrows(
     branch: FollowedBranch, position: BranchPosition, subject: Subject, view: ViewState, cell: Where
 ) -> list[EventArrow]:
-    """Return arrows on the map, from the cell to the events on both sides of the present ``position`` on a branch.
+    """Return arrows over the map from an orbit of a branch to its next event on either side.
+
+    branch     the branch
+    position   the orbit on the branch
+    subject    the subject that is explored
+    view       the view state of the page, with the visible range
+    cell       the cell whose branch is followed, as its plane and its values of both axes
 
     The list is empty if the branch is followed along a parameter that is no axis of the map.
     """
@@ -240,9 +257,10 @@ def arrows(
 
 
 def initial_follow(subject: Subject, view: ViewState, cell: Where, along: str) -> FollowedOrbit:
-    """Return the state of following a cell's own orbit along a parameter.
+    """Return the state of the page when it begins to follow a cell's own orbit along the parameter ``along``.
 
-    The branch has smaller steps over the visible range of an axis, or over the slider range of another parameter.
+    The branch is computed with smaller steps over the visible range of an axis, or over the slider's range of another
+    parameter.
     """
     value, parameter = subject.values(*cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
@@ -252,11 +270,11 @@ def initial_follow(subject: Subject, view: ViewState, cell: Where, along: str) -
 
 
 def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, float]) -> Computation[FollowedBranch]:
-    """Return the computation that follows the branch of a cell's orbit.
+    """Return the computation, for a worker, of the branch that contains a cell's orbit.
 
-    subject   the subject
-    cell      the cell
-    part      the parameter, and the limits (low, high) between which the branch has smaller steps
+    subject   the subject that is explored
+    cell      the cell, as its plane and its values of both axes
+    part      the parameter of the branch, and the limits (low, high) between which it has smaller steps
     """
 
     def read(branch: FollowedBranch) -> FollowedBranch:
@@ -273,9 +291,9 @@ def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, fl
 
 
 def follow_orbit(arguments: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> FollowedBranch:
-    """Return the branch of a cell's orbit along a parameter.
+    """Return the branch of a cell's orbit along a parameter; this function runs on a worker.
 
-    arguments   system, parameters of the cell, settings, name of the parameter, and two windows
+    arguments   system, parameters of the cell, settings, name of the parameter, and two windows (low, high) of it
 
     The branch covers the first window, with smaller steps in the second window. Raise InputError, with a message of one
     line, if there is no branch.
@@ -305,7 +323,14 @@ def follow_orbit(arguments: tuple[System, Mapping[str, float], Settings, str, tu
 def _with_part(
     full_branch: "Branch", index: int, part: "Branch", part_index: int, window: Range
 ) -> "tuple[Branch, int]":
-    """Return a branch with its part around a point replaced by the finer ``part``, and the point's new index."""
+    """Return a branch in which the stretch around a cell's orbit is replaced by a finer one, and the orbit's new index.
+
+    full_branch   the branch, computed with large steps
+    index         index of the cell's orbit on it
+    part          the branch computed with smaller steps within ``window``
+    part_index    index of the cell's orbit on ``part``
+    window        limits (low, high) of the parameter
+    """
     if "closed" in full_branch.run.ends + part.run.ends:
         return (part, part_index) if "closed" in part.run.ends else (full_branch, index)
     outside, last = (

@@ -1,4 +1,4 @@
-"""The known cells of a subject: cells of the atlas, and of tiles in memory."""
+"""Looking up the known cells of the explorer, from the atlas or from tiles that were solved for a page."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,19 +16,20 @@ from atlas.query.window import nearest
 from workers.results import PENDING, REASON, REGIME, in_words
 
 MOST_VIEWS = 4
-"""Number of viewports whose cells of the atlas are cached.
+"""Maximum number of viewports whose cells, as read from the atlas, are cached.
 
-A page draws these cells again with each solved tile. They are read anew after each look at the atlas.
+A page draws the cells of its viewport again with each solved tile. The cache is refilled when the finished tiles of the
+atlas are listed anew.
 """
 
 
 @dataclass(frozen=True)
 class CellResult:
-    """A cell that was looked up.
+    """The results of a cell that was looked up.
 
     parameters   value of each parameter, by name
-    results      results by name, in the form that ``at`` returns
-    of_atlas     True for a cell of the atlas, False for an explored cell
+    results      results by name, in the form that the dataset accessor ``at`` returns
+    of_atlas     True for a cell of the atlas, False for a cell that the explorer solved
     """
 
     parameters: dict[str, float]
@@ -37,14 +38,17 @@ class CellResult:
 
 
 class CellLookup:
-    """Looks up known cells of a subject in its tiles and its atlas."""
+    """Looks up the known cells of a subject, in tiles in memory and in the atlas."""
 
     def __init__(self, tiles: TileCache) -> None:
         self.tiles, self.subject = tiles, tiles.subject
         self._base = lru_cache(MOST_VIEWS)(lambda sight, names, listed_at: seen_atlas(self.subject, sight, names))
 
     def visible_cells(self, plane: PlaneParameters, viewport: Viewport, names: Iterable[str]) -> VisibleCells:
-        """Return the visible cells of a viewport; unknown cells are pending."""
+        """Return the visible cells of a viewport as a dataset with the variables ``names``.
+
+        Cells that are not known are pending.
+        """
         variable_names = list(names)
         base = (
             self._base(viewport, tuple(variable_names), self.tiles.listed_at) if plane == self.subject.plane else None
@@ -54,7 +58,12 @@ class CellLookup:
         )
 
     def cell(self, plane: PlaneParameters, viewport: Viewport, x: float, y: float) -> CellResult | None:
-        """Return the finest known cell at a point of the viewport; None if no cell there is known."""
+        """Return the known cell at a point (x, y), from the finest known level; None if no cell is known there.
+
+        plane      the fixed parameters
+        viewport   the ranges of visible cells, whose levels are the finest that are searched
+        x, y       values of the axes
+        """
         for stage in range(max(STAGES, viewport.x.level, viewport.y.level) + 1):
             level_x, level_y = viewport.x.level - stage, viewport.y.level - stage
             if min(level_x, level_y) < 0:
@@ -71,8 +80,9 @@ class CellLookup:
         return self._atlas_cell(plane, x, y)
 
     def point(self, plane: PlaneParameters, viewport: Viewport, x: float, y: float) -> tuple[float, float]:
-        """Return the point of the cell nearest to (x, y): a cell of the viewport, or of the atlas if its cells are
-        denser.
+        """Return the point of the cell nearest to (x, y).
+
+        The cell is one of the viewport, or one of the atlas if the atlas has denser cells.
         """
         if min(viewport.x.level, viewport.y.level) < 0:
             atlas_cell = self._atlas_cell(plane, x, y)
@@ -82,12 +92,12 @@ class CellLookup:
         return self._at(viewport.x.level, viewport.y.level, j, i)
 
     def solve_cell(self, plane: PlaneParameters, x: float, y: float) -> CellResult:
-        """Solve the cell at exactly this point, in the calling thread, and return it."""
+        """Solve the cell at exactly the point (x, y), in the calling thread, and return it."""
         results = solve_patch(self.subject.grid(plane, (x,), (y,)))
         return self._cell_of(plane, results, (0,), (x, y), (x, y))
 
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
-        """Return the values of the axes at a column and a row of a level."""
+        """Return the values of both axes at column ``j`` of level ``level_x`` and row ``i`` of level ``level_y``."""
         across, up = self.subject.points(CellRange(level_x, j, 1), CellRange(level_y, i, 1))
         return float(across[0]), float(up[0])
 
@@ -114,13 +124,13 @@ class CellLookup:
         at: tuple[float, float],
         point: tuple[float, float],
     ) -> CellResult:
-        """Return a cell of arrays as a ``CellResult``.
+        """Return one cell of result arrays as a ``CellResult``.
 
-        plane    plane of the cell
-        arrays   results of the cells, by name
+        plane    the fixed parameters
+        arrays   results of many cells, by name
         index    index of the cell in the arrays
-        at       the cell's values of the axes
-        point    the point to which the cell is nearest
+        at       the cell's values of both axes
+        point    the point that was looked up; the results contain its distance from the cell
         """
         subject, (x, y) = self.subject, at
         results: dict[str, Any] = dict(zip(subject.axes, at, strict=True))

@@ -1,4 +1,4 @@
-"""The visible cells as a dataset for the rendering code, each cell from the finest known tile."""
+"""The visible cells as a dataset for the code that draws maps, each cell taken from the finest known tile."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -24,11 +24,11 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class VisibleCells:
-    """The visible cells as a dataset.
+    """The visible cells as a dataset, with the density at which each is known.
 
     ds        the dataset
-    sight     the viewport
-    stages    (y, x) stage at which a cell is known, the number of halvings of density; STAGES + 1 if coarser or unknown
+    sight     the viewport: the ranges of visible cells along both axes
+    stages    (y, x) number of halvings of density at which a cell is known; STAGES + 1 if coarser or unknown
     view_id   identifier of the viewport's cells; equal identifiers mean equal cells
     """
 
@@ -48,14 +48,14 @@ def compose_view(
 ) -> VisibleCells:
     """Return the visible cells, with the named variables and the regime; unknown cells are pending.
 
-    subject    the subject
-    plane      the plane
-    viewport   the viewport
+    subject    the subject that is explored
+    plane      the fixed parameters
+    viewport   the ranges of visible cells along both axes
     tiles      known tiles with their arrays, the coarsest first
     names      names of the variables
     base       cells of the atlas from ``seen_atlas``; None if there are none
 
-    Cells of the atlas cover tiles that are not denser than the atlas.
+    Cells of the atlas replace those of tiles that are not denser than the atlas.
     """
     canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), viewport.shape)
     stages = np.full(viewport.shape, STAGES + 1, np.uint8)
@@ -74,7 +74,13 @@ def compose_view(
 def dataset(
     subject: Subject, plane: PlaneParameters, x: NDArray[np.float64], y: NDArray[np.float64], canvas: Arrays
 ) -> "xr.Dataset":
-    """Return cells of a plane as the dataset of an atlas."""
+    """Return cells of a plane as a dataset with the coordinates and attributes of an opened atlas.
+
+    subject   the subject that is explored
+    plane     the fixed parameters
+    x, y      values of the axes
+    canvas    results (y, x) of the cells, by name
+    """
     import xarray
 
     spec, fixed = subject.spec, [name for name, _ in plane.parameters]
@@ -101,7 +107,7 @@ def dataset(
 
 
 def seen_atlas(subject: Subject, viewport: Viewport, names: Iterable[str]) -> "xr.Dataset | None":
-    """Return the cells of the atlas in and around a viewport, from the overview that suits its density.
+    """Return the cells of the atlas in and around a viewport, from the overview (coarser copy) that suits its density.
 
     Return None if the viewport lies outside the atlas.
     """
@@ -122,14 +128,14 @@ def seen_atlas(subject: Subject, viewport: Viewport, names: Iterable[str]) -> "x
 
 
 def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: Index) -> Arrays:
-    """Return variables of cells (y, x) of the atlas, by their rows and columns."""
+    """Return the variables ``names`` of cells of the atlas as arrays (y, x), for the given rows and columns."""
     across, up = subject.axes
     part = subject.part({across: columns, up: rows})[[*names]].load()
     return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 
 def atlas_covers(subject: Subject, solved_mask: NDArray[np.bool_] | None, plane: PlaneParameters, key: TileKey) -> bool:
-    """Return True if the atlas has all cells of a tile that is not finer than the atlas.
+    """Return True if the atlas holds all cells of a tile, which is possible only for a tile not finer than the atlas.
 
     ``solved_mask`` (y, x) is the mask of the solved cells of the atlas.
     """
@@ -152,7 +158,7 @@ def _lay(canvas: Arrays, stages: NDArray[np.uint8], viewport: Viewport, key: Til
 
 
 def _lay_base(canvas: Arrays, subject: Subject, viewport: Viewport, base: "xr.Dataset") -> NDArray[np.bool_]:
-    """Copy cells of the atlas onto the canvas, and return the mask (y, x) of visible cells that the atlas has."""
+    """Copy cells of the atlas into the result arrays ``canvas``, and return the mask (y, x) of the cells copied."""
     places, inside = [], []
     dims = subject.axes[::-1]
     for name, values in zip(dims, subject.points(*viewport)[::-1], strict=True):

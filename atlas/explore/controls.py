@@ -1,4 +1,4 @@
-"""The controls of a page: map and style, axes, a slider and a number for each parameter, and files."""
+"""The controls of an explorer page: menus of map, style and axes, a slider for each parameter, and files to save."""
 
 import html
 import math
@@ -26,7 +26,7 @@ TYPED = 76
 
 
 class Controls:
-    """The widgets of a page, which show and change its state; ``go`` opens the page of other axes or another layer."""
+    """The widgets that show the state of a page and change it; ``go`` opens the page of other axes or another layer."""
 
     def __init__(self, subject: Subject, store: PageModel, go: Callable[..., None]) -> None:
         self.subject, self._store = subject, store
@@ -49,7 +49,7 @@ class Controls:
         self.show(store.now)
 
     def columns(self, cuts: list[Button]) -> list[Any]:
-        """Return the controls from the top, including the given buttons that make a cut."""
+        """Return the widgets of the controls from the top; ``cuts`` are the buttons that start a cut."""
         states = self._sliders(states=True)
         return [
             Div(text=html_part("look"), stylesheets=[TEXT, FOCUS, LOOK], sizing_mode="stretch_width"),
@@ -62,7 +62,7 @@ class Controls:
         ]  # fmt: skip
 
     def show(self, state: PageState) -> None:
-        """Show the state in the widgets."""
+        """Show the parameters of a page's state in the sliders and number fields."""
         view = state.view
         for name, value in view.plane.parameters:
             slider = self.sliders[name]
@@ -71,13 +71,18 @@ class Controls:
             slider.value = self.typed[name].value = value
 
     def _wire(self) -> None:
-        """Have each widget change the part of the state that it shows."""
+        """Connect each slider and number field with the parameter that it changes."""
         for name in self.sliders:
             self.sliders[name].on_change("value", partial(self._set_parameter, name, False))
             self.typed[name].on_change("value", partial(self._set_parameter, name, True))
 
     def _set_parameter(self, name: str, rests: bool, attribute: str, old: Any, new: Any) -> None:
-        """Change to the plane of a slider's value or of a typed number."""
+        """Change a fixed parameter to a new value from its slider or number field; the other arguments are Bokeh's.
+
+        name    name of the parameter
+        rests   False if the value is from a slider, which may still move
+        new     the new value; None for an empty number field
+        """
         plane = self._store.now.view.plane
         if new is None or float(new) == dict(plane.parameters)[name]:
             return
@@ -88,7 +93,7 @@ class Controls:
             self.typed[name].value = dict(plane.parameters)[name]
 
     def _axes(self, go: Callable[..., None]) -> list[Any]:
-        """Return the menus of the axes, and of the layer of a stack."""
+        """Return the menus that choose the axes, and the menu of the layers if the atlas is a stack of planes."""
         subject, third, menus = self.subject, self.subject.stack_axis, []
         system = subject.system
         options = [(p.name, f"{symbol_of(system, p.name)} {p.meaning.split(':')[0]}") for p in system.parameters]
@@ -105,7 +110,7 @@ class Controls:
         return menus
 
     def _sliders(self, states: bool) -> list[Any]:
-        """Return the sliders of the initial states, or of all other parameters."""
+        """Return the sliders of the initial states if ``states``, else those of all other parameters."""
         names = [name for name in self.sliders if (name in self.subject.system.states) == states]
         widgets: list[Any] = []
         for name in names:
@@ -122,13 +127,13 @@ class Controls:
 
 
 def _with(axes: tuple[str, str], index: int, name: str) -> tuple[str, str]:
-    """Return the axes with ``name`` at ``index``; if the other axis has the name, the axes are swapped."""
+    """Return the names of the axes with ``name`` at ``index``; the axes are swapped if the other axis has that name."""
     other = axes[index] if axes[1 - index] == name else axes[1 - index]
     return (name, other) if index == 0 else (other, name)
 
 
 def heading(text: str) -> Div:
-    """Return the heading of a group of controls."""
+    """Return ``text`` as the heading of a group of controls."""
     return Div(text=f"<h4>{text}</h4>", stylesheets=[TEXT], margin=(0, 5, 0, 5))
 
 

@@ -1,4 +1,8 @@
-"""A cut: the cells along a line over a plane, coarse first, with their section states."""
+"""A cut: cells along a line over a plane, whose states at t = k T are drawn as a bifurcation diagram.
+
+The states are taken at the start of each forcing period T and are called section states. The cells are solved coarsely
+first.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,26 +20,26 @@ from workers.model.observables import ENERGY_LOSS, GAP, MAXIMUM, MINIMUM, OF_IMP
 from workers.results import ERROR, LARGEST, SECTION
 
 STEPS = 256
-"""Number of steps between the ends of a fully solved line."""
+"""Number of steps between the ends of a fully solved cut: it has one point more."""
 COARSE = 8
-"""Stride of the points that are solved first; then the stride is halved again and again."""
+"""Stride of the points of a cut that are solved first; the stride is then halved until all points are solved."""
 POINTS_PER_JOB = STEPS // COARSE + 1
 """Number of points in one job."""
 SAMPLES = 48
-"""Number of section states of a cell that is not periodic."""
+"""Maximum number of values that a cut shows of one cell, such as states at t = k T of a cell that is not periodic."""
 SECTION_WORDS = "gap at t = kT"
-"""The first choice of what a cut shows."""
+"""Words in the menu for the quantity that a cut shows at first."""
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class CutLine:
-    """A line over a plane of a subject, straight on the scales of its axes; its points are numbered from 0 to STEPS.
+    """The line of a cut over a plane, straight on the scales of the axes; its points are numbered from 0 to STEPS.
 
-    subject   the subject
-    plane     the plane
+    subject   the subject that is explored
+    plane     the fixed parameters
     ends      (x, y, x, y) of the two ends
-    observe   observable of the cells that is shown; None for section states
+    observe   observable of the cells that is shown; None to show the states at t = k T
     """
 
     subject: Subject
@@ -45,7 +49,10 @@ class CutLine:
 
     @cached_property
     def axis(self) -> int:
-        """The axis, 0 across or 1 up, along which the diagrams are drawn: the axis of which the line covers more."""
+        """The axis along which the diagrams are drawn, 0 across or 1 up.
+
+        It is the axis of whose length the line spans the larger share.
+        """
         x0, y0, x1, y1 = self.ends
         reach = []
         for lattice, ends in ((self.subject.x, (x0, x1)), (self.subject.y, (y0, y1))):
@@ -55,16 +62,16 @@ class CutLine:
 
     @property
     def name(self) -> str:
-        """The parameter of the diagrams' axis."""
+        """The name of the parameter on the diagrams' horizontal axis."""
         return self.subject.axes[self.axis]
 
     @property
     def level(self) -> bool:
-        """True if the line runs along one axis, so that only one parameter changes."""
+        """True if the line is parallel to an axis, so that only one parameter changes along it."""
         return self.ends[1 - self.axis] == self.ends[3 - self.axis]
 
     def points(self, index: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Return the values of both axes at points, (N,) each."""
+        """Return the values of both axes, (N,) each, at the points of the line with these numbers."""
         share, (x0, y0, x1, y1) = index / STEPS, self.ends
         values = []
         for lattice, (begin, end) in ((self.subject.x, (x0, x1)), (self.subject.y, (y0, y1))):
@@ -73,7 +80,10 @@ class CutLine:
         return values[0], values[1]
 
     def batches(self) -> list[tuple[int, ...]]:
-        """Return the points in the order in which they are solved, in batches of at most POINTS_PER_JOB."""
+        """Return the numbers of the points in the order of solving, coarse first, in batches.
+
+        A batch has at most POINTS_PER_JOB points.
+        """
         parts, step, begin = [], COARSE, 0
         while step:
             index = list(range(begin, STEPS + 1, 2 * step if begin else step))
@@ -84,13 +94,17 @@ class CutLine:
 
 @dataclass(frozen=True)
 class CutCells:
-    """Solved points of a line: their indices (N,), and results by name, including ``shown`` (N, SAMPLES)."""
+    """Solved cells of a cut.
+
+    index     (N,) numbers of their points along the line
+    results   results of the cells by name; ``shown`` (N, SAMPLES) are the values that the diagram draws
+    """
 
     index: NDArray[np.int64]
     results: dict[str, NDArray[Any]]
 
     def merged_with(self, other: "CutCells | None") -> "CutCells":
-        """Return these points and those of ``other``, each once, in the order of the line."""
+        """Return these cells together with those of ``other``, each once, in the order of the line."""
         if other is None:
             return self
         index, order = np.unique(np.concatenate([self.index, other.index]), return_index=True)
@@ -99,7 +113,7 @@ class CutCells:
 
 
 def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCells]:
-    """Return the computation that solves the points ``part`` of a line on a worker.
+    """Return the computation that solves, on a worker, the cells at the points of a line with the numbers ``part``.
 
     The points are sent as the diagonal of a grid of their values on both axes.
     """
@@ -129,7 +143,10 @@ def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCell
 
 
 def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:
-    """Return the largest exponent and its error along a line, as columns over ``x``; empty without exponents."""
+    """Return columns for the plot of the largest Lyapunov exponent, and of its error band, along a line.
+
+    Column ``x`` is the parameter. All columns are empty if the cells have no exponents.
+    """
     if LARGEST.name not in cells.results:
         return {"x": np.zeros(0), "largest": np.zeros(0), "low": np.zeros(0), "high": np.zeros(0)}
     x, largest, error = line.points(cells.index)[line.axis], cells.results[LARGEST.name], cells.results[ERROR.name]
@@ -137,16 +154,17 @@ def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:
 
 
 def shown_points(line: CutLine, cells: CutCells) -> dict[str, NDArray[np.floating]]:
-    """Return the gap coordinates or the observable of cells along a line, as columns over the parameter ``x``."""
+    """Return the columns ``x`` and ``y`` of a cut's diagram: the parameter, and gap coordinates or the observable."""
     x, ordinates = line.points(cells.index)[line.axis], cells.results["shown"]
     known = np.isfinite(ordinates)
     return {"x": np.broadcast_to(x[:, None], ordinates.shape)[known], "y": ordinates[known].astype(np.float32)}
 
 
 def to_observe(subject: Subject) -> dict[str, Observable | None]:
-    """Return the choices of a cut, by their words.
+    """Return the quantities that a cut can show, by their words in the menu.
 
-    They are section states, impacts, maxima and minima of the gap coordinate, and energy losses.
+    They are the gap coordinate at t = k T (as None), impacts, maxima and minima of the gap coordinate, and energy
+    losses.
     """
     definition = subject.system.definition
     names = [part.name for part in definition.contacts] if len(definition.contacts) > 1 else []

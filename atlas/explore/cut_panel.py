@@ -1,4 +1,7 @@
-"""The panel of a cut: the line over the plane, and below it the diagrams along the line, which share the pointer."""
+"""The panel of a cut: the line over the plane, and below the plane diagrams of the cells along the line.
+
+The pointer marks the same point in the plane and in all diagrams.
+"""
 
 from functools import partial
 from typing import Any
@@ -42,7 +45,7 @@ from atlas.formatting import plural
 
 
 class CutPanel(Panel[CutLine]):
-    """The panel with the diagrams along the chosen line; it requests the cells to show."""
+    """The panel with the diagrams along the line of the cut; it requests the cells of the line from the workers."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, store: PageModel, plane: figure) -> None:
         super().__init__(explorer, background)
@@ -85,12 +88,12 @@ class CutPanel(Panel[CutLine]):
         self.set_topic(None if view.cut is None else CutLine(self._subject, view.plane, view.cut, observe))
 
     def clear(self) -> None:
-        """Show no line and no diagram."""
+        """Remove the line and the diagrams."""
         self.panel.visible = False
         self._drawn.data = {"xs": [], "ys": []}
 
     def start(self, line: CutLine) -> None:
-        """Show a line and empty diagrams, and have the cells of the line solved."""
+        """Show a line with empty diagrams, and request its cells from the workers."""
         x0, y0, x1, y1 = line.ends
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
         self._cells = None
@@ -111,7 +114,7 @@ class CutPanel(Panel[CutLine]):
         super().show_error(f"part of the cut: {reason}")
 
     def _take(self, line: CutLine, cells: CutCells) -> None:
-        """Show further cells of the line."""
+        """Add solved cells of the cut to its diagrams."""
         self._cells = known = cells.merged_with(self._cells)
         self._sources["shown"].data = dict(shown_points(line, known))
         self._sources["exponents"].data = dict(exponents(line, known))
@@ -120,7 +123,7 @@ class CutPanel(Panel[CutLine]):
         self._says.text = f"{plural(known.index.size, 'cell')} along the cut{long}"
 
     def _straight(self, along: int) -> None:
-        """Cut along one axis, through the clicked cell or the middle of the window."""
+        """Start a cut along one axis (0 across, 1 up), through the clicked cell or the middle of the window."""
         view = self._store.now.view
         x, y = view.middle(self._subject)
         ends: Cut = (view.x[0], y, view.x[1], y) if along == 0 else (x, view.y[0], x, view.y[1])
@@ -136,7 +139,7 @@ class CutPanel(Panel[CutLine]):
             self._store.choose(cut=ends)
 
     def _over_plane(self) -> None:
-        """Add the line to the plane, the point of the line under the pointer, and the drawing tool."""
+        """Add to the plot of the plane the cut's line, a dot for its point under the pointer, and a drawing tool."""
         lines = [
             self._plane.multi_line(xs="xs", ys="ys", source=self._drawn, line_color=color, line_width=width)
             for color, width in (("white", 5.0), ("black", 2.0))
@@ -147,7 +150,7 @@ class CutPanel(Panel[CutLine]):
         self._drawn.on_change("data", self._drew)
 
     def _draw(self) -> None:
-        """Create the parts of the diagrams."""
+        """Create the diagrams: the values that are shown, and the largest exponent with its error band."""
         of, sources = self._section, self._sources
         of.scatter(x="x", y="y", source=sources["shown"], size=1.8, color="#1a2433", line_color=None)
         below = self._exponents
@@ -165,7 +168,7 @@ class CutPanel(Panel[CutLine]):
         )
 
     def _link(self) -> None:
-        """Have the pointer on one plot mark the same point on the others."""
+        """Have the pointer in one plot mark the same point of the cut in the other plots."""
         self._along = ColumnDataSource({"along": [0]})
         args = {"line": self._drawn, "plane": self._plane, "axis": self._along}
         args |= {"spans_of": self._spans, "dot": self._dot}

@@ -1,4 +1,7 @@
-"""The column about cells: the cell under the pointer, and the clicked cell with its motion and all its attractors."""
+"""The column about cells of an explorer page.
+
+It shows the cell under the pointer, and the clicked cell with its motion and all its attractors.
+"""
 
 import html
 from collections.abc import Callable
@@ -29,17 +32,17 @@ from atlas.explore.viewport import Viewport
 
 CLICKED = "<h4>cell clicked</h4>"
 ROW = 15.6
-"""Height, in pixels, of a row of a table."""
+"""Height, in pixels, of a row of the table under the pointer."""
 
 
 class DetailsPanel(Panel[Point]):
-    """The panel of the clicked cell, with the panels about it, and of the cell under the pointer.
+    """The panels of the clicked cell, and the table of the cell under the pointer.
 
-    explorer     the explorer
+    explorer     the explorer that looks up and solves cells
     background   the threads of the page
     store        model of the page's state
-    viewport     returns the viewport of the page; None before there is one
-    mark         source of the mark (x, y) on the clicked cell
+    viewport     returns the visible cells of the page; None before the first picture
+    mark         Bokeh data source of the mark (x, y) on the clicked cell
     plane        the plot of the plane
     """
 
@@ -71,7 +74,7 @@ class DetailsPanel(Panel[Point]):
 
     @property
     def panels(self) -> list[Any]:
-        """The parts of the column, from the top."""
+        """The widgets of the column, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
         below = [self._attractors.panel, self._motion.panel, self._reason]
         return [self._pointed, self._clicked, line, self._follow.panel, *below, self._numbers, self._copy_all]
@@ -91,7 +94,7 @@ class DetailsPanel(Panel[Point]):
         self._background.run(partial(self._choose_nearest, (x, y)))
 
     def show(self, view: ViewState) -> None:
-        """Mark the chosen cell if it lies in the visible plane, and show its details once."""
+        """Mark the chosen cell if it lies in the visible plane, and show its details if they are not shown yet."""
         cell = view.cell
         at = cell[1:] if cell is not None and cell[0] == view.plane else None
         data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
@@ -102,7 +105,7 @@ class DetailsPanel(Panel[Point]):
             self.set_topic(cell)
 
     def start(self, cell: Point) -> None:
-        """Show that a cell is being solved."""
+        """Show that a cell is being solved, and look it up or solve it in a thread of the page."""
         self._clicked.text, self._reason.text = f"{CLICKED}solving it", ""
         self._motion.clear()
         self._attractors.set_topic(None)

@@ -1,4 +1,4 @@
-"""The explorer of one subject, shared by any number of pages: jobs, tiles, and notification of the pages."""
+"""The explorer of one plane, shared by any number of pages: it finds and solves cells, and notifies the pages."""
 
 import math
 import threading
@@ -31,15 +31,15 @@ MAX_FAILURES = 4096
 
 
 class Explorer:
-    """Finds and solves the cells of one subject for its pages.
+    """Finds and solves the cells of one subject, the plane that is explored, for its pages.
 
     subject      the subject
     connect      opens the Dask client; or the explorer whose cluster and memory are shared
     timing       time limits of the jobs on the cluster
 
-    patches      the job service
+    patches      the service that runs jobs on the cluster
     tiles        the solved tiles of the subject
-    known        the known cells, of the tiles and of the atlas
+    known        looks up known cells, in the tiles and in the atlas
     failures     time at which a tile failed, in seconds of ``time.monotonic``, by plane and key
     """
 
@@ -63,11 +63,11 @@ class Explorer:
         self.known = CellLookup(self.tiles)
 
     def stop(self) -> None:
-        """Stop the jobs."""
+        """Stop the jobs on the cluster."""
         self.patches.stop()
 
     def explorer_for_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
-        """Return the explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
+        """Return the explorer of the same system over other axes, or of another layer of a stack, on the same cluster.
 
         axes    names of the two parameters across and up
         layer   value of the stack axis; None for the present layer
@@ -86,9 +86,9 @@ class Explorer:
             return explorer
 
     def subscribe(self, consumer: Hashable, callback: Callable[[PlaneParameters, TileKey], None] | None) -> None:
-        """Call ``callback``, in another thread, with the plane and key of each solved tile.
+        """Call ``callback``, in another thread, with the fixed parameters and the key of each tile solved from now on.
 
-        With None the consumer's callback is removed, and its jobs are cancelled.
+        ``consumer`` identifies the caller. With None its callback is removed, and its jobs are cancelled.
         """
         with self._lock:
             if callback is None:
@@ -105,7 +105,12 @@ class Explorer:
             return list(self._listeners)
 
     def request_tiles(self, consumer: Hashable, plane: PlaneParameters, viewport: Viewport, stages: range) -> int:
-        """Request the unknown tiles of a viewport, at ``stages`` in this order, and return their number.
+        """Request the unknown tiles of a viewport for a page, and return their number.
+
+        consumer   identifies the page; its earlier requests are replaced
+        plane      the fixed parameters
+        viewport   the ranges of visible cells along both axes
+        stages     numbers of halvings of the full density at which tiles are requested, in this order
 
         A tile that failed is requested again only if RETRY_SECONDS have passed since.
         """
@@ -139,17 +144,17 @@ class Explorer:
 
 @dataclass(frozen=True)
 class TileJob(ServiceJob):
-    """The job of solving a tile of a plane for an explorer."""
+    """The job of solving one tile, a square of cells of one zoom level, for an explorer."""
 
     explorer: Explorer
     plane: PlaneParameters
     key: TileKey
 
     def build_task(self) -> tuple[Task, Take] | None:
-        """Return the task that solves the cells of the tile that its parent lacks, and the function that completes the
-        tile.
+        """Return the task that solves the tile's cells, and the function that stores the tile from the result.
 
-        Return None if the tile has become known.
+        Every fourth cell is also a cell of the coarser parent tile, and is not solved again if that tile is known.
+        Return None if the whole tile has become known meanwhile.
         """
         tiles, subject = self.explorer.tiles, self.explorer.subject
         if tiles.full_tile(self.plane, self.key) is not None:
@@ -170,5 +175,5 @@ class TileJob(ServiceJob):
         return (solve_patch, subject.patch(self.plane, self.key, missing)), take
 
     def on_failed(self, reason: str) -> None:
-        """See ``ServiceJob``."""
+        """Record that the tile could not be solved."""
         self.explorer.record_failure(self.plane, self.key)

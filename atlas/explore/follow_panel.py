@@ -1,4 +1,7 @@
-"""The panel that follows the orbit of the clicked cell along a parameter: slider, motion, and marks over the plane."""
+"""The panel that follows the periodic orbit of the clicked cell along a parameter.
+
+It has a slider along the branch of the orbit, the motion, and marks over the plane.
+"""
 
 import html
 from typing import Any
@@ -34,17 +37,17 @@ from atlas.task.compile import ORBITS
 FOLLOWABLE = "periodic", "no_impact"
 """Regimes of cells that have an orbit to follow."""
 ROOM = 0.3
-"""Share of the window's width that the label of an arrow may take."""
+"""Maximum share of the window's width that the label of an arrow may take; beside the border it changes sides."""
 BOUND = 1e9
 """Largest finite multiplier. A larger one belongs to an impact without speed, whose multiplier is infinite but for
 rounding.
 """
 INK = "#aa3377"
-"""Colour of the parts that belong to the followed orbit."""
+"""Colour of the marks and lines of the followed orbit."""
 
 
 class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
-    """The controls that start and end following, and the followed orbit."""
+    """The button and the menu that start and end following an orbit, and the display of the followed orbit."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, store: PageModel, plane: figure) -> None:
         super().__init__(explorer, background)
@@ -68,19 +71,22 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._over_plane(plane)
 
     def offer_cell(self, cell: CellResult | None) -> None:
-        """Offer to follow the orbit of a cell if it has one."""
+        """Show the controls if the cell has an orbit to follow, or an orbit is followed already."""
         there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
         self.panel.visible = there_is_one or self.topic is not None
 
     def show(self, view: ViewState) -> None:
-        """Follow the chosen orbit, and show the orbit's position."""
+        """Follow the orbit that the view state chooses, and show its position on the branch."""
         follow, cell = view.follow, view.cell
         self.set_topic(None if follow is None or cell is None else (cell, follow[:3]))
         if self._shown is not None and follow is not None and cell is not None:
             self._mark(view, cell, self._shown.branch, self._shown.move(follow))
 
     def start(self, about: tuple[Point, tuple[str, float, float]]) -> None:
-        """Have a branch followed."""
+        """Have the branch of a cell's orbit computed on a worker.
+
+        about   the cell, and the parameter with the limits (low, high) between which the branch has smaller steps
+        """
         self.clear()
         cell, (along, low, high) = about
         self.panel.visible, self._along.value = True, along
@@ -90,7 +96,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self.submit([branch_computation(self._subject, cell, (along, low, high))], self._take)
 
     def clear(self) -> None:
-        """Show no branch."""
+        """Remove the branch from the panel, and its marks from the plane."""
         if self._shown is not None:
             self._shown.motion.clear()
         self._shown, self._body.children = None, []
@@ -105,7 +111,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._say(reason)
 
     def _follows(self) -> bool:
-        """Return True if the orbit is followed along the parameter in the menu."""
+        """Return True if an orbit is being followed along the parameter that the menu shows."""
         follow = self._store.now.view.follow
         return follow is not None and follow.along == self._along.value
 
@@ -129,7 +135,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._says.update(text=html.escape(text), visible=bool(text))
 
     def _over_plane(self, plane: figure) -> None:
-        """Add the marker of the orbit to the plane, and the arrows to its neighbouring events."""
+        """Add to the plot of the plane the marker of the followed orbit and the arrows to its neighbouring events."""
         ends: dict[str, Any] = {"x_start": "x0", "y_start": "y0", "x_end": "x1", "y_end": "y1"}
         for color, width, size in (("white", 5.0, 12), (INK, 2.0, 9)):
             head = NormalHead(size=size, line_color=color, fill_color=color)
@@ -142,7 +148,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         plane.text(background_fill_alpha=0.85, **at, **look)
 
     def _mark(self, view: ViewState, cell: Point, branch: FollowedBranch, position: BranchPosition) -> None:
-        """Mark an orbit over the plane if it lies in that plane."""
+        """Mark the followed orbit over the plane, with its arrows, if its fixed parameters are those of the plane."""
         values = self._subject.values(*cell) | {branch.table.along: position.value}
         inside = all(values[name] == value for name, value in view.plane.parameters)
         names = zip(self._marker.data, self._subject.axes, strict=True)
@@ -158,10 +164,10 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
 
 
 def label_of(arrow: Reach, k: int, visible: Range) -> tuple[str, str, str, int, int]:
-    """Return the label of an arrow: its text, alignment, baseline, and offsets from the marker in pixels.
+    """Return the label of an arrow to an event: its text, alignment, baseline, and offsets from the marker in pixels.
 
     arrow     the arrow
-    k         index of the arrow, 0 or 1
+    k         index of the arrow, 0 or 1; it decides on which side of the line, or how far along it, the text stands
     visible   limits (low, high) of the horizontal axis
 
     The text lies on the side to which the arrow points, if the window has room there.
@@ -183,7 +189,7 @@ _COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down"
 
 
 class _FollowControls:
-    """The widgets of a followed branch, which show the present orbit and change it."""
+    """The widgets of a branch: they show the followed orbit and change its position on the branch."""
 
     def __init__(self, explorer: Explorer, store: PageModel, branch: FollowedBranch) -> None:
         self.branch, self._subject, self._store = branch, explorer.subject, store
@@ -220,7 +226,7 @@ class _FollowControls:
         self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]
 
     def move(self, follow: FollowedOrbit) -> BranchPosition:
-        """Show the chosen orbit, and return its position on the branch."""
+        """Show the orbit that a view state chooses, and return its position on the branch."""
         if follow == self._at:
             return self._here
         self._at = follow
@@ -244,12 +250,12 @@ class _FollowControls:
             self._store.choose(follow=now._replace(step=index - self.branch.own_index, value=value))
 
     def _slide(self, attribute: str, old: Any, new: Any) -> None:
-        """Go to the point of the slider."""
+        """Go to the solution point that the slider was moved to; the arguments are those of Bokeh's callbacks."""
         if int(new) != self._here.point_index:
             self._go(int(new), self.branch.values[int(new)])
 
     def _type(self, attribute: str, old: Any, new: Any) -> None:
-        """Go to the nearest point along the branch at which it has the typed value."""
+        """Go to the orbit with the typed value of the parameter, of several the nearest along the branch."""
         if new == self._here.value:
             return
         index = None if new is None else self.branch.find_point(float(new), self._here)
@@ -263,7 +269,7 @@ class _FollowControls:
         self._typed.value = self._here.value
 
     def _table(self) -> str:
-        """Return the table of the orbit as HTML."""
+        """Return the properties of the followed orbit as an HTML table."""
         position, branch = self._here, self.branch
         outside = f"unstable, {plural(position.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if position.point.unstable else "stable"

@@ -1,4 +1,4 @@
-"""A patch: cells on a grid of two parameters, as one computation of the explorer."""
+"""A patch: cells on a grid of two parameters that the explorer has solved as one job on a worker."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from workers.model.system import System
 
 @dataclass(frozen=True)
 class GridPatch:
-    """The cells to solve, as sent through the scheduler. ``solve_patch`` also solves a patch without a cluster.
+    """Cells on a grid of two parameters, to be solved as one job by ``solve_patch``, on a worker or locally.
 
     system           the system
     parameters       value of each parameter that is not an axis, by name
@@ -47,12 +47,12 @@ class GridPatch:
 
 
 def packed(mask: NDArray[np.bool_]) -> bytes:
-    """Return a mask of cells as the ``mask_bits`` of a patch."""
+    """Return the mask (y, x) of the cells to solve, as packed bits for ``GridPatch.mask_bits``."""
     return b"" if mask.all() else np.packbits(mask).tobytes()
 
 
 def solve_patch(patch: GridPatch) -> dict[str, NDArray[Any]]:
-    """Return the results of the cells to solve, row by row, as arrays (N, ...) by name.
+    """Solve a patch, and return the results of its N cells, row by row, as arrays (N, ...) by name.
 
     Raise RefusedError if this worker has another solver version.
     """

@@ -1,7 +1,7 @@
-"""Jobs that the explorer runs on a Dask cluster, by the priority that they have at the moment.
+"""Jobs that the explorer runs on a Dask cluster, in the order of priority that its pages give at the moment.
 
-Submission, retries and failures are those of ``atlas.service.dispatch``. A job that no consumer waits for any more is
-not submitted. If it was submitted before, it is done, and its result is delivered all the same.
+Submission, retries and failures are those of ``atlas.service.dispatch``. A job is submitted only while a consumer, a
+page or a panel, waits for it. A job that has been submitted is done and delivered even if no consumer waits any more.
 """
 
 import logging
@@ -50,10 +50,13 @@ class ServiceState:
 
 
 class ServiceJob(Protocol):
-    """A job of the ``JobService``. All methods are called in the service's thread."""
+    """A job of the ``JobService``, which calls all its methods in the service's own thread."""
 
     def build_task(self) -> tuple[Task, Take] | None:
-        """Return the task to submit and the function that takes its result; None if the result has become known."""
+        """Return the task to submit and the function that takes its result.
+
+        Return None if the result has become known meanwhile.
+        """
 
     def on_failed(self, reason: str) -> None:
         """React to a job that is given up for ``reason``, after invalid input or repeated failures."""
@@ -61,12 +64,12 @@ class ServiceJob(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Computation(Generic[A]):
-    """A function call that a panel wants done on a worker.
+    """A function call that a panel of the page has done on a worker.
 
     function      module-level function of one argument
     argument      its argument
     postprocess   turns the result into what the panel shows, in the service's thread
-    n_cells       number of cells that are solved for it
+    n_cells       number of cells that the call solves, for the displayed solving rate
     """
 
     function: Callable[[Any], Any]
@@ -77,7 +80,7 @@ class Computation(Generic[A]):
 
 @dataclass(frozen=True, eq=False)
 class ComputationJob(ServiceJob):
-    """A ``Computation`` with its callbacks.
+    """A ``Computation`` as a job, with the callbacks for its outcome.
 
     question   the computation
     take       receives the post-processed result, in the service's thread
@@ -89,7 +92,7 @@ class ComputationJob(ServiceJob):
     refuse: Callable[[str], None]
 
     def build_task(self) -> tuple[Task, Take]:
-        """See ``ServiceJob``."""
+        """Return the function and argument of the computation, and the function that delivers its result."""
         return (self.question.function, self.question.argument), self._take
 
     def _take(self, result: Any) -> int:
@@ -97,16 +100,16 @@ class ComputationJob(ServiceJob):
         return self.question.n_cells
 
     def on_failed(self, reason: str) -> None:
-        """See ``ServiceJob``."""
+        """Deliver the reason why the computation failed."""
         self.refuse(reason)
 
 
 @dataclass(frozen=True)
 class SubmittedJob:
-    """A job as it is sent through the scheduler.
+    """A job as it is sent through the scheduler to a worker.
 
-    index   the job's number
-    task    the task
+    index   number that identifies the job
+    task    the function to call on the worker, and its argument
     """
 
     index: tuple[int, ...]
@@ -115,9 +118,9 @@ class SubmittedJob:
 
 @dataclass(frozen=True)
 class JobOutput:
-    """The output of a job.
+    """What a worker sends back for a job.
 
-    index    the job's number
+    index    number that identifies the job
     result   the result of the task
     error    the message about invalid input; empty if there is none
     """
@@ -128,7 +131,7 @@ class JobOutput:
 
 
 def answer(sent: SubmittedJob) -> JobOutput:
-    """Run a job on a worker and return its output; invalid input becomes a message, which is not retried."""
+    """Run a job on a worker and return its output; an InputError becomes a message, so that the job is not retried."""
     function, value = sent.task
     try:
         return JobOutput(sent.index, function(value))
@@ -137,9 +140,10 @@ def answer(sent: SubmittedJob) -> JobOutput:
 
 
 class JobQueue(Iterator[ServiceJob]):
-    """The jobs that consumers wait for, taken from the consumers in turn.
+    """The jobs that consumers (pages and panels) wait for, in each consumer's order; consumers take turns.
 
-    As an iterator it yields the first job that is ready and not in flight. It may run dry and yield again later.
+    As an iterator it yields the next job that is not in flight, that is, not yet submitted. It may run dry and yield
+    again later.
     """
 
     def __init__(self) -> None:
@@ -171,7 +175,7 @@ class JobQueue(Iterator[ServiceJob]):
             return len(self._jobs.get(consumer, ()))
 
     def __next__(self) -> ServiceJob:
-        """Return the next job, which is in flight from now on."""
+        """Return the next job that is not in flight, and mark it as in flight."""
         with self._lock:
             for _ in range(len(self._turn)):
                 who = self._turn[0]
@@ -183,7 +187,7 @@ class JobQueue(Iterator[ServiceJob]):
         raise StopIteration
 
     def release_all(self) -> None:
-        """Mark all jobs as not in flight."""
+        """Mark all jobs as not in flight, so that they are submitted again."""
         with self._lock:
             self._under_way = set()
 
@@ -197,7 +201,7 @@ class JobQueue(Iterator[ServiceJob]):
 
 
 class JobService:
-    """Runs jobs on the cluster that ``connect`` opens, and reconnects whenever the connection is lost."""
+    """Runs jobs on the Dask cluster that ``connect`` opens, and reconnects whenever the connection is lost."""
 
     def __init__(self, connect: Callable[[], "AbstractContextManager[Client]"], timing: Timing = TIMING) -> None:
         self._connect, self._timing = connect, timing
@@ -211,9 +215,9 @@ class JobService:
         )
 
     def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool = False) -> None:
-        """Replace the jobs that ``consumer`` waits for by ``jobs``, in order of priority.
+        """Replace the jobs that ``consumer``, a page or a panel, waits for by ``jobs``, in order of priority.
 
-        With ``keep_earlier`` the new jobs go before its earlier ones. An empty ``jobs`` cancels all.
+        With ``keep_earlier`` the new jobs go before the consumer's earlier jobs. An empty ``jobs`` cancels all.
         """
         self._wanted.request(consumer, jobs, keep_earlier)
         self._woken.set()
@@ -251,10 +255,9 @@ class JobService:
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
-        """Run jobs until all workers are excluded; then give up the jobs in flight, so that all workers are admitted
-        again.
+        """Run jobs until all workers are excluded, that is, get no further jobs; then give up the jobs in flight.
 
-        Raise _StoppedError once the service is stopped.
+        The caller starts again with all workers admitted. Raise _StoppedError once the service is stopped.
         """
         dispatcher = Dispatcher(client, answer, self._timing, queue=False)
         try:
@@ -271,7 +274,7 @@ class JobService:
             self._forget()
 
     def _look(self, workers: WorkerStatus) -> None:
-        """Record the state of the cluster; raise _StoppedError once the service is stopped."""
+        """Record the state of the cluster's workers. Raise _StoppedError once the service is stopped."""
         if self._stopped.is_set():
             raise _StoppedError
         self._say(
@@ -284,7 +287,7 @@ class JobService:
             self._state = ServiceState(trouble, workers)
 
     def _made(self, job: ServiceJob) -> SubmittedJob | None:
-        """Return a job in the form that is sent to the cluster; None if its result has become known by now."""
+        """Return a job in the form that is sent to a worker; None if its result has become known meanwhile."""
         submission = self._tried(job, job.build_task)
         if submission is None:
             self._wanted.remove(job)
@@ -295,7 +298,7 @@ class JobService:
         return sent
 
     def _take(self, outcome: JobOutput | TileFailure) -> None:
-        """Deliver the result of a job, or the reason why the job is given up."""
+        """Deliver the result of a job, or the reason why the job failed."""
         job, take = self._sent.pop(outcome.index)
         if isinstance(outcome, TileFailure):
             self._give_up(job, outcome.message)
@@ -308,12 +311,15 @@ class JobService:
         self._wanted.remove(job)  # only after the result is delivered: an earlier request would solve the job again
 
     def _forget(self) -> None:
-        """Mark all jobs as not submitted."""
+        """Mark all jobs as not submitted, since the connection is lost or begins anew."""
         self._sent.clear()
         self._wanted.release_all()
 
     def _tried(self, job: ServiceJob, step: Callable[[], Any]) -> Any:
-        """Return the result of a step of a job; None after an unexpected exception, which ends that job only."""
+        """Return the result of ``step``, a function that belongs to a job.
+
+        If the function raises an unexpected exception, give up this job only, and return None.
+        """
         try:
             return step()
         except (RunError, OSError):
@@ -324,7 +330,7 @@ class JobService:
             return None
 
     def _give_up(self, job: ServiceJob, reason: str) -> None:
-        """Give up a job. An exception of its ``on_failed`` is logged."""
+        """Remove a job from all queues and call its ``on_failed``, whose exceptions are logged."""
         try:
             job.on_failed(reason)
         except Exception:
@@ -333,9 +339,9 @@ class JobService:
 
 
 class _StoppedError(Exception):
-    """The service has been stopped."""
+    """Ends the loop of the service's thread after the service has been stopped."""
 
 
 def _without_advice(error: Exception) -> str:
-    """Return the text of an error without the advice for a run that follows it."""
+    """Return the text of an error up to the first semicolon, without the advice that holds only for a run."""
     return str(error).partition("; ")[0]

@@ -1,4 +1,4 @@
-"""The motion of a cell as the page draws it: phase portraits of its attractors, and its machine over the orbit."""
+"""The motion of a cell as plot data: phase portraits of its attractors, and the positions of its masses in time."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -24,10 +24,10 @@ class MotionPlotData:
     """The plot data of a motion.
 
     y, v         (N,) gap coordinate and its velocity along the trajectory, with points before and after each impact
-    moving       (2 + n, K) gap coordinate, its velocity and the n displacements in even steps of time
-    stops        positions of the stops of a single displacement; empty otherwise
+    moving       (2 + n, K) gap coordinate, its velocity and the n displacements, at evenly spaced times
+    stops        positions of the stops if they limit a single displacement; empty otherwise
     lane         index of that displacement; None if the stops limit a combination of several
-    per_period   number of even steps in a forcing period
+    per_period   number of evenly spaced times in a forcing period
     """
 
     y: Array
@@ -39,7 +39,7 @@ class MotionPlotData:
 
 
 def motion_of(orbit: CellTrajectory) -> MotionPlotData:
-    """Return the plot data of a trajectory, with at most POINTS even steps."""
+    """Return the plot data of a trajectory, with at most POINTS evenly spaced times."""
     samples = samples_of(orbit.system)
     piece = orbit.period / samples
     step = np.rint(orbit.times / piece)
@@ -51,12 +51,12 @@ def motion_of(orbit: CellTrajectory) -> MotionPlotData:
 
 
 def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> MotionPlotData:
-    """Return the plot data of a motion of a machine through given states.
+    """Return the plot data of a machine's motion through given states.
 
-    osc          the machine
+    osc          the machine: the mechanical system at given parameters
     states       (N, 2n) displacements and velocities
-    even         (N,) mask of the states at even steps of time
-    per_period   number of even steps in a forcing period
+    even         (N,) mask of the states at evenly spaced times
+    per_period   number of evenly spaced times in a forcing period
     """
     row = np.array(osc.gap_row)
     n, limited = row.size, np.flatnonzero(row).tolist()
@@ -69,7 +69,11 @@ def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_
 def motions(
     subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]
 ) -> dict[int, MotionPlotData]:
-    """Return the motions of a cell from some initial states, by the index of the state.
+    """Return the plot data of a cell's motions from several initial states, by the index of the initial state.
+
+    subject      the subject that is explored
+    parameters   value of each parameter of the cell, by name
+    states       the initial states
 
     States whose motions cannot be shown are left out, as are those beyond MAX_PORTRAITS.
     """

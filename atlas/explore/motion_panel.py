@@ -1,4 +1,4 @@
-"""The panel that shows a motion: the phase portraits of attractors, and the machine moving along its orbit."""
+"""The panel that shows a motion: phase portraits of attractors, and an animation of the machine along its orbit."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,7 +16,7 @@ from atlas.render.class_maps import PALETTE
 
 
 class MotionPanel:
-    """The portraits of a cell's attractors in one phase plane, and the machine, which a button sets in motion."""
+    """The phase portraits of a cell's attractors in one plot, and the machine, whose animation a button starts."""
 
     def __init__(self, subject: Subject) -> None:
         self._paths = ColumnDataSource({"xs": [], "ys": [], "color": []})
@@ -50,18 +50,18 @@ class MotionPanel:
         self.panel = column(self._phase, self._scene, self._play, sizing_mode="stretch_width", visible=False)
 
     def clear(self) -> None:
-        """Show no motion."""
+        """Hide the panel and stop the animation."""
         self.panel.visible = self._play.active = False
         self.portray({})
 
     def portray(self, motions: Mapping[int, MotionPlotData]) -> None:
-        """Show the portraits of attractors, in the colours of their indices."""
+        """Draw the phase portraits of attractors, given by index, each in the colour of its index."""
         colors = [PALETTE[index % len(PALETTE)] for index in motions]
         paths = motions.values()
         self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
 
     def show(self, motion: MotionPlotData) -> None:
-        """Show the cell's own motion, which a button sets in motion."""
+        """Draw the cell's own motion and the machine at its start; the button then animates the machine."""
         if len(self._paths.data["xs"]) < 2:  # otherwise the portraits of all attractors are already shown
             self.portray({0: motion})
         y, v, *masses = motion.moving

@@ -1,7 +1,7 @@
 """A page of the explorer: the plane, the controls, the details of cells, and a progress line.
 
 The windows of the axes and the style of the plane belong to the browser. The server receives the windows and the style
-and sends cells. It does not set them, since doing so would race with the user.
+and sends cells. It does not set the windows or the style, since its changes would race with the user's.
 """
 
 import html
@@ -52,10 +52,10 @@ MIN_PLANE_PIXELS = 16
 
 
 def build_page(document: Document, explorer: Explorer, folder: Path, pages: "set[ExplorerPage]") -> None:
-    """Build the page of a Bokeh document, at the view that its address asks for.
+    """Fill a Bokeh document with a page, at the view that the document's address asks for.
 
     document   the document, empty so far
-    explorer   explorer of the subject at the address without a query
+    explorer   explorer that an address without a query opens
     folder     folder in which specs of new atlases are written
     pages      set of open pages; the page belongs to it until the session of the document ends
 
@@ -90,7 +90,7 @@ class ExplorerPage:
     explorer   explorer of the page's axes and layer
     store      model of the page's state
     folder     folder in which specs of new atlases are written
-    home       explorer of the subject at an address without a query
+    home       explorer of the axes and layer that an address without a query means
     """
 
     def __init__(self, document: Document, explorer: Explorer, store: PageModel, folder: Path, home: Explorer) -> None:
@@ -133,7 +133,7 @@ class ExplorerPage:
         self._download = ColumnDataSource({"name": [], "href": []})
 
     def _wire(self) -> None:
-        """Connect events with their handlers."""
+        """Connect the events of the plot and of the buttons with their handlers."""
         controls = self._controls
         plot = self._pane.plot
         for k, attribute in enumerate(("inner_width", "inner_height")):
@@ -166,7 +166,7 @@ class ExplorerPage:
         return layout
 
     def _changed(self, old: PageState, new: PageState) -> None:
-        """Show the new state."""
+        """Show the new state of the page in all its parts."""
         view = new.view
         self._controls.show(new)
         self._details.show(view)
@@ -176,7 +176,10 @@ class ExplorerPage:
             self._pane.show(view, new.size, new.at_rest)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
-        """Open the page of other axes or of another layer, at the clicked cell or else the middle of the window."""
+        """Have the browser open the page of other axes or of another layer of a stack.
+
+        The new plane goes through the clicked cell, or else through the middle of the window.
+        """
         subject, view = self._subject, self._store.now.view
         turned = self._home.explorer_for_axes(
             axes or subject.axes, subject.layer_value if layer is None else layer
@@ -203,7 +206,7 @@ class ExplorerPage:
             self._store.choose(x=x, y=y)
 
     def _note_look(self, query: str) -> None:
-        """Record the style of the plane that the browser reports as a query."""
+        """Record the style of the plane (map, overlays, colour limits) that the browser reports as a query."""
         try:
             looks = apply_style_query(self._subject, self._store.now.view, query)
             self._store.choose(**{name: getattr(looks, name) for name in STYLE_FIELDS})
@@ -211,7 +214,7 @@ class ExplorerPage:
             self._store.set(trouble=str(error))
 
     def _note_picture(self, picture: RenderedPicture | str) -> None:
-        """Record a picture of the plane, or the reason why there is no picture."""
+        """Record a new picture of the plane, or, given a string, the reason why there is no picture."""
         if isinstance(picture, str):
             self._store.set(missing_parts=picture, shares=())
             return

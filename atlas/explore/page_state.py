@@ -18,6 +18,8 @@ class PageState:
     missing_parts   missing parts of the picture, with reasons; empty if nothing is missing
     shares          share of the viewport that is known at each stage, the coarsest first; empty without a picture
     trouble         other failures, with reasons; empty if there are none
+
+    A stage is a number of halvings of the full density of cells.
     """
 
     view: ViewState
@@ -41,16 +43,17 @@ class PageModel:
         self._listeners.append(listener)
 
     def set(self, **fields: Any) -> None:
-        """Change fields of the state."""
+        """Replace the given fields of the state, and call the listeners if the state has changed."""
         old, self.now = self.now, replace(self.now, **fields)
         if old != self.now:
             for listener in self._listeners:
                 listener(old, self.now)
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
-        """Change fields of the view state. The trouble of the last view is cleared, and so is the box of another view.
+        """Replace the given fields of the view state.
 
-        Choosing another cell ends the followed orbit.
+        The trouble of the last view is cleared, and so is the selected box if windows or plane change. Choosing another
+        cell ends the followed orbit. ``rests`` is False while a slider moves.
         """
         old, view = self.now, replace(self.now.view, **fields)
         before = old.view

@@ -1,6 +1,6 @@
-"""Panels of a page: each shows one topic at a time, and submits computations on its topic.
+"""Panels of a page: each shows one topic at a time, such as a cell, and submits computations about it to workers.
 
-A result that arrives after its panel has changed the topic is discarded. Only the base class does so.
+A result that arrives after its panel has changed the topic is discarded. This is done in the base class only.
 """
 
 from collections.abc import Callable, Iterable
@@ -26,18 +26,18 @@ class Panel(Generic[A]):
         self._turns = 0
 
     def start(self, about: A) -> None:
-        """Show that nothing is known of a new topic yet, and submit its computations."""
+        """Show that nothing is known of the new topic ``about`` yet, and submit the computations about the topic."""
         raise NotImplementedError
 
     def clear(self) -> None:
-        """Show nothing."""
+        """Show nothing, since there is no topic."""
 
     def show_error(self, reason: str) -> None:
         """Show the reason why a computation failed."""
         self._background.refuse(reason)
 
     def set_topic(self, about: A | None) -> None:
-        """Change the topic and cancel the earlier computations. Do nothing if the topic is the same."""
+        """Change the topic and cancel the computations about the earlier topic. Do nothing if the topic is the same."""
         if about == self.topic:
             return
         self.topic = about
@@ -64,7 +64,7 @@ class Panel(Generic[A]):
         )
 
     def run_in_background(self, work: Callable[[], Show]) -> None:
-        """Call ``work`` in a thread of the page, then call the function that it returns in the document's thread."""
+        """Call ``work`` in a thread of the page; then call the function that it returns in the document's thread."""
         turns, show_result = self._turns, self._current(_do)
 
         def prepare_result() -> Show:
@@ -73,7 +73,7 @@ class Panel(Generic[A]):
         self._background.run(prepare_result, self._current(self.show_error))
 
     def progress_callback(self) -> Callable[[Show], None]:
-        """Return a function with which ``work`` shows intermediate results from its own thread.
+        """Return a function by which work in another thread shows intermediate results in the document's thread.
 
         The function must be created in the document's thread before the work begins.
         """

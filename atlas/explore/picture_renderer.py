@@ -1,7 +1,8 @@
 """The pictures of a page, made in a thread of their own.
 
 For each view the thread looks up the known cells, sends a picture, requests the unknown tiles, and sends further
-pictures as tiles are solved. Each step is planned for a time. A new view replaces the steps that are still planned.
+pictures as tiles are solved. Each of these steps is planned for a time. A new view cancels the steps that are still
+planned.
 """
 
 import threading
@@ -24,31 +25,31 @@ from atlas.platform import release_memory
 from workers.results import PENDING, REGIME
 
 REST_SECONDS, FIRST_REST_SECONDS = 0.15, 0.03
-"""Times, in seconds without a change, after which a view, or the first view of a page, is looked up."""
+"""Times, in seconds without a change, after which cells are looked up for a view, and for the first view of a page."""
 FULL_SOLVE_SECONDS = 0.7
-"""Time, in seconds without a change, after which a plane that a slider has moved to is solved at all stages."""
+"""Time, in seconds, for which a slider must rest before cells are solved at all densities, not only at the coarsest."""
 RELEASE_MEMORY_SECONDS = 10.0
 """Minimum time, in seconds, between two releases of freed memory to the system."""
 MIN_FRAME_SECONDS = 0.35
 """Minimum time, in seconds, between two pictures."""
 MAX_RENDER_SHARE = 0.6
-"""Maximum share of the time that is spent on drawing."""
+"""Maximum share of a renderer's time that is spent on drawing, so that solving is not held up."""
 LIMITS_PICTURE_PIXELS = (240, 180)
 """Width and height, in pixels, of the picture of the whole plane from which colour limits are taken."""
 MAX_PENDING_SHARE = 0.01
-"""Maximum share of pending cells in a picture from which colour limits are taken."""
+"""Maximum share of unsolved cells in a picture from which colour limits are taken."""
 
 COARSEST_STAGE, ALL_STAGES = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
-"""The stages of a view that are solved while a slider moves, and the stages that are solved once it rests."""
+"""Numbers of halvings of the full density at which cells are solved while a slider moves, and once it rests."""
 
 
 @dataclass(frozen=True)
 class RenderedPicture:
-    """A picture of the visible cells.
+    """A picture of the visible cells, as sent to the browser.
 
     message   bytes from which the browser draws the picture
     note      note about the picture, such as why requested overlays are missing
-    shares    share of the viewport that is known at each stage, the coarsest first
+    shares    share of the viewport that is known at each density of cells, the coarsest first
     """
 
     message: NDArray[np.uint8]
@@ -67,10 +68,9 @@ def warm_up(explorer: Explorer) -> None:
 class PictureRenderer:
     """Makes the pictures of one page in a thread.
 
-    explorer   the explorer
+    explorer   the explorer that looks up and solves cells
     deliver    called in the renderer's thread with each picture
     on_error   called in the renderer's thread with the reason why there is no picture
-
     n_lookups  number of times that cells were looked up
     sight      viewport of the last look-up; None before the first
     """
@@ -94,7 +94,10 @@ class PictureRenderer:
         self._thread = restarting_thread("atlas-painter", self._serve, self._mistaken)
 
     def show(self, view: ViewState, size: tuple[int, int], rests: bool = True) -> None:
-        """Show a view at a size in pixels; unless it ``rests``, solve only its coarsest stage for a while."""
+        """Have pictures of a view made, for a plane of ``size`` (width, height) in pixels.
+
+        If not ``rests``, a slider is moving: cells are solved at the coarsest density only, until the slider rests.
+        """
         picture, now = (view.picture, size), time.monotonic()
         with self._changed:
             if picture != self._asked:
@@ -107,11 +110,15 @@ class PictureRenderer:
 
     @property
     def is_busy(self) -> bool:
-        """True if the requested view is not yet looked up, solved and drawn."""
+        """True until the requested view has been looked up, solved and drawn."""
         return bool(self._plan) or self._at_work or self._explorer.patches.n_remaining(self) > 0
 
     def ends(self, view: ViewState) -> Ends:
-        """Return the colour limits of a map: those of the view, or else those of the scale; None if unknown."""
+        """Return the lower and upper colour limit of the map of a view.
+
+        They are the limits that the view sets, or else those fixed for this map by its first picture. A limit is None
+        if it is unknown.
+        """
         low, high = self._scales.get(view.map, (None, None))
         return low if view.vmin is None else view.vmin, high if view.vmax is None else view.vmax
 
@@ -127,7 +134,7 @@ class PictureRenderer:
         self._thread.join()
 
     def _plan_repaint(self, plane: PlaneParameters, key: TileKey) -> None:
-        """Plan another picture if a solved tile is visible in the last one."""
+        """Plan another picture if the solved tile ``key`` is visible in the last picture."""
         if self._asked and plane == self._asked[0].plane and self.sight is not None and self.sight.contains(key):
             with self._changed:
                 self._view = next(self._views)
@@ -135,14 +142,17 @@ class PictureRenderer:
                 self._changed.notify()
 
     def _mistaken(self, error: str) -> None:
-        """Report an exception in a picture, and plan the picture again if it was not started."""
+        """Report an exception in the renderer's thread. Plan the picture again if its cells were not looked up yet."""
         self._say_no(f"this picture could not be made: {error}")
         with self._changed:
             if self._asked is not None and self._asked != self._looked:
                 self._plan.setdefault(ALL_STAGES, time.monotonic() + REST_SECONDS)
 
     def _say_no(self, reason: str) -> None:
-        """Report why there is no picture. The page then shows no picture, in particular none of another view."""
+        """Report the reason why there is no picture.
+
+        The page then shows none, so that no picture of an older view remains.
+        """
         self._sent = None
         self._refuse(reason)
 
@@ -176,7 +186,10 @@ class PictureRenderer:
         self._explorer.subscribe(self, None)
 
     def _find(self, stages: range) -> None:
-        """Look up the known cells of a view, show them, and request the other cells at these stages."""
+        """Look up the known cells of the requested view, send their picture, and request the unknown cells.
+
+        ``stages`` are the numbers of halvings of the full density at which cells are requested, in this order.
+        """
         self._looked = picture = self._asked
         if picture is None:
             return
@@ -217,7 +230,7 @@ class PictureRenderer:
     def _hold(self, view: ViewState, names: list[str]) -> None:
         """Fix the colour limits of the maps ``names``, so that they stay the same when the user zooms.
 
-        The limits are those of the atlas's whole plane, if enough of the plane is known.
+        The limits are those of the whole plane of the atlas, if more than half of its cells are known.
         """
         subject = self._explorer.subject
         if subject.ds is None or self._scales.keys() >= set(names):

@@ -1,4 +1,4 @@
-"""The message with the visible cells for the browser: maps, overlays and labels, as bytes."""
+"""The message from which the browser draws the visible cells: maps, overlays and labels, as bytes."""
 
 import json
 import zlib
@@ -35,7 +35,7 @@ BITS = 14
 
 
 def maps_of(visible: VisibleCells, view: ViewState, others: bool) -> list[CodedMap]:
-    """Return the chosen map, and with ``others`` all further maps for which the dataset has the variables.
+    """Return the chosen map, as a code per cell with its legend, and with ``others`` all further maps of the dataset.
 
     Raise InputError if the chosen map cannot be drawn.
     """
@@ -52,7 +52,7 @@ def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
 
 
 def ends_of(plane_map: CodedMap) -> Range | None:
-    """Return the colour limits of a map; None if it has none."""
+    """Return the colour limits of a map; None if the map has no colour scale."""
     bar = plane_map.layers.bar
     return None if bar is None else bar.ends
 
@@ -65,12 +65,12 @@ def message(
     scales: Mapping[str, Range],
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], str]:
-    """Return the message from which a page draws maps with overlays, and why some overlays are missing.
+    """Return the message, as bytes, from which a page draws maps with overlays, and why some overlays are missing.
 
     visible   the visible cells
-    subject   the subject
-    view      the view state
-    maps      the maps, the chosen one first
+    subject   the subject that is explored
+    view      the view state of the page
+    maps      the maps, the chosen map first
     scales    colour limits of maps, by name
     size      width and height of the plane, in pixels
 
@@ -103,7 +103,7 @@ def message(
 
 
 def _plane(visible: VisibleCells, subject: Subject) -> Plane:
-    """Return the visible cells on the scales of the page, which are logarithmic in windows of any width."""
+    """Return the plane of the visible cells, with an axis logarithmic exactly if it is logarithmic in the spec."""
     plane = Plane.from_dataset(visible.ds, ())
     return replace(plane, x=replace(plane.x, log=subject.x.log), y=replace(plane.y, log=subject.y.log))
 
@@ -111,7 +111,7 @@ def _plane(visible: VisibleCells, subject: Subject) -> Plane:
 def _lines(
     visible: VisibleCells, subject: Subject, view_state: ViewState, size: tuple[int, int]
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]], list[str]]:
-    """Return the chosen overlays, the arrays that they need, and why some are missing."""
+    """Return the chosen overlays by name, the arrays that they need, and the reasons why some overlays are missing."""
     why = view_state.without_curves(subject)
     drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
     view = MapView(KIND_TABLE["period"], visible.ds, _plane(visible, subject), PictureRequest(STANDARD))
@@ -131,7 +131,10 @@ def _lines(
 
 
 def _axis(lattice: Lattice, cells: CellRange) -> dict[str, Any]:
-    """Return the edges of cells: only the outer two if the cells are equally wide on their scale."""
+    """Return the edges, number and level of the visible cells along an axis, for the browser.
+
+    If the cells are equally wide on the axis's scale, only the outer two edges are given.
+    """
     halves = np.arange(2 * cells.first - 1, 2 * (cells.first + cells.count), 2, dtype=np.int64)
     edges = lattice.values(cells.level + 1, halves)
     drawn = np.log(edges) if lattice.log else edges

@@ -1,4 +1,4 @@
-"""The pane of the plane: its title, its figure, its legend, and the cells that the browser draws."""
+"""The pane of an explorer page that shows the plane: its title, its plot, and its legend."""
 
 import json
 from collections.abc import Callable
@@ -32,7 +32,7 @@ NOTHING: dict[str, Any] = {"message": [], "share": []}
 class PlanePane:
     """The plane of a page with its title and its legend.
 
-    explorer     the explorer
+    explorer     the explorer that looks up and solves cells
     background   the threads of the page
     view         the view state at first
     on_picture   called with each picture, or with the reason why there is no picture
@@ -69,7 +69,7 @@ class PlanePane:
         )
 
     def begin(self, document: Document, address: Div) -> None:
-        """Have the browser draw the plane once it has the document, and keep the style in the address."""
+        """Have the browser draw the plane once it has the document, and keep the plane's style in the address."""
         self._image.tags = [self._sent, self._look, self._blank]  # sources without a view are sent as tags
         models = {"plot": self.plot, "image": self._image, "sent": self._sent, "look": self._look}
         models |= {"blank": self._blank, "waiting": self._waiting, "address": address}
@@ -79,7 +79,7 @@ class PlanePane:
         self.plot.js_on_event(MouseMove, call("point"))
 
     def show(self, view: ViewState, size: tuple[int, int], rests: bool) -> None:
-        """Show a view at a size in pixels."""
+        """Show a view, for a plane of ``size`` (width, height) in pixels; ``rests`` is False while a slider moves."""
         old, self._chosen, subject = self._chosen, view, self._subject
         if (view.x, view.y) != (old.x, old.y):
             label_axes(self.plot, subject, view)
@@ -88,19 +88,20 @@ class PlanePane:
         self.painter.show(view, size, rests)
 
     def _show(self, painted: RenderedPicture) -> None:
-        """Send a picture to the page."""
+        """Send a picture to the browser."""
         self._sent.data = {"message": [painted.message], "share": [sum(painted.shares) / len(painted.shares)]}
         self._on_picture(painted)
 
     def _unpainted(self, reason: str) -> None:
-        """Remove the picture, which may show another view, and report the reason."""
+        """Remove the picture, since it may show an older view, and report the reason why there is no new picture."""
         self._sent.data = NOTHING
         self._on_picture(reason)
 
 
 def described(subject: Subject, view: ViewState) -> dict[str, Any]:
-    """Return the subject as plain JSON, which the page has from the beginning; ``look`` is the first style of the
-    plane.
+    """Return what the browser's script must know of the subject, as plain JSON: axes, variables, maps and overlays.
+
+    ``look`` in it is the style of the plane at first, as a query.
     """
     from atlas.explore.compose import dataset
 

@@ -1,4 +1,4 @@
-"""Plots of the page: the plane with its axes and image, and diagrams of branches with their events."""
+"""Plots of an explorer page: the plane with its axes and its image of cells, and diagrams of branches of orbits."""
 
 from typing import Any
 
@@ -27,11 +27,11 @@ KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middl
 
 
 def make_plot(subject: Subject, view: ViewState, mark: ColumnDataSource) -> tuple[figure, Any]:
-    """Return the plot of a plane and the source of its image, which the browser fills.
+    """Return the plot of a plane, and the Bokeh data source of its image, which the browser fills.
 
-    subject   the subject
-    view      the view state
-    mark      source of a mark (x, y) on one cell
+    subject   the subject that is explored
+    view      the view state of the page, with the limits of the axes
+    mark      Bokeh data source of the mark (x, y) on the clicked cell
     """
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
@@ -66,7 +66,7 @@ def make_plot(subject: Subject, view: ViewState, mark: ColumnDataSource) -> tupl
 
 
 def style_plain(plot: figure) -> None:
-    """Remove the grid of a plot, and set axes in the page's type, with ticks that may count from a round number."""
+    """Remove the grid of a plot, set its axes in the page's font, and give them the page's tick format."""
     plot.grid.visible = False
     for axis in (plot.xaxis[0], plot.yaxis[0]):
         axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
@@ -74,7 +74,7 @@ def style_plain(plot: figure) -> None:
 
 
 def label_axes(plot: figure, subject: Subject, view: ViewState) -> None:
-    """Set the labels and tick formats of the axes for their windows."""
+    """Set the labels and tick formats of the axes for the visible windows of a view."""
     for axis, lattice, window in (
         (plot.xaxis[0], subject.x, view.x),
         (plot.yaxis[0], subject.y, view.y),
@@ -86,7 +86,7 @@ def label_axes(plot: figure, subject: Subject, view: ViewState) -> None:
 
 
 class BranchLines:
-    """Branches on a plot of the gap coordinate over the parameter."""
+    """Draws branches of periodic orbits, and their events, in a plot of the gap coordinate over a parameter."""
 
     def __init__(self, plot: figure) -> None:
         self._lines = ColumnDataSource({"xs": [], "ys": [], "color": [], "dash": []})
@@ -100,7 +100,7 @@ class BranchLines:
         plot.add_tools(HoverTool(renderers=[marks], tooltips=[("", "@kind"), ("at", "@x{0.00000000}")]))
 
     def show(self, drawn: BranchDiagram | None) -> None:
-        """Show these branches instead of earlier ones; None shows no branches."""
+        """Draw the given branches instead of the earlier ones; None draws no branches."""
         drawn = drawn or BranchDiagram((), ())
         self._lines.data = {
             "xs": [x for _, x, _ in drawn.stretches],

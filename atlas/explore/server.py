@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 EVERY = ("0.0.0.0", "::", "")
-"""Addresses that stand for all addresses of a machine."""
+"""Addresses that mean all network addresses of a machine."""
 FORGOTTEN = 4000
 """Time, in milliseconds, after which a page without a connection is removed."""
 
 
 class PageServer:
-    """Serves documents that ``make`` fills, one for each page that is opened, until ``stop``.
+    """Serves documents that ``make`` fills, one for each page that a browser opens, until ``stop``.
 
-    make    function that fills a document
+    make    function that fills a Bokeh document
     port    port to listen at; 0 is any free port
     host    address to listen at
     token   token with which a proxy forwards requests for any host; by default a new token is made
@@ -77,8 +77,9 @@ class PageServer:
             self._thread.join()
 
     def _run(self) -> None:
-        """Serve until ``stop``. Once the server has started, ``restarting_thread`` restarts it at the same port after
-        any exception.
+        """Serve until ``stop``; this function is the work of the server's thread.
+
+        Once the server has started, ``restarting_thread`` restarts it at the same port after any exception.
         """
         try:
             self._serve()
@@ -146,13 +147,14 @@ def own_hosts(port: int) -> list[str]:
 
 
 def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -> int | None:
-    """Return the HTTP status with which a request is refused, None if the request is served.
+    """Return the HTTP status with which a request is refused; None if the request is served.
 
     request   the request
     hosts     hosts that the request may name; None for any host
     token     token that the request must have
 
-    Scripts of Bokeh need no token. Its websocket checks the signature of a page.
+    Requests for Bokeh's scripts need no token. Its websocket, by itself, accepts only sessions that a page of this
+    server signed.
     """
     origin = request.headers.get("Origin")
     if hosts is not None and (
@@ -172,7 +174,7 @@ def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -
 
 
 def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str] | None, token: str) -> "Any":
-    """Return the application that serves pages to requests that are not refused."""
+    """Return the Tornado application that serves pages, but only to requests that ``refusal`` accepts."""
     from bokeh.application import Application as Pages
     from bokeh.application.handlers.function import FunctionHandler
     from bokeh.server.tornado import BokehTornado

@@ -1,4 +1,4 @@
-"""A running explorer: the public entry points, its cluster, its pages, and how all of them end."""
+"""A running explorer: the public entry points, the cluster and the pages of a session, and how all of them end."""
 
 import math
 import os
@@ -34,9 +34,11 @@ HUB = "JUPYTERHUB_SERVICE_PREFIX"
 
 
 class ExplorerSession:
-    """The pages of an explorer, served until ``stop``. A notebook shows the first page as the value of a cell.
+    """A running explorer and the server of its pages, until ``stop``.
 
-    explorer   the explorer
+    A notebook shows the first page as a cell's value.
+
+    explorer   the explorer, which finds and solves cells
     folder     folder in which specs of new atlases are written
     port       port to listen at; 0 is any free port
     query      query of the address of new pages
@@ -62,7 +64,7 @@ class ExplorerSession:
         return f"{self._server.url}?{self._query}"
 
     def stop(self) -> None:
-        """Close the pages and end the jobs."""
+        """Close the pages, end the server and stop the jobs on the cluster."""
         self._server.stop()
         for page in self._pages:
             page.close()
@@ -140,10 +142,10 @@ def explore(
 
 
 def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: Any) -> ExplorerSession:
-    """Start an explorer of the store that a dataset shows, at the dataset's plane and window; return its session.
+    """Start an explorer of the store from which a dataset was opened, at the dataset's plane and window.
 
-    Further options are those of ``explore``. Raise InputError unless the dataset is as ``atlas.open`` returned it, or
-    one plane of a stack or a part of a plane of such a dataset.
+    Return the session. Further options are those of ``explore``. Raise InputError unless the dataset is as
+    ``atlas.open`` returned it, or one plane of a stack or a part of a plane of such a dataset.
     """
     ends = {name: axis_values(ds, name) for name in axis_names(ds)[:2]}
     window = {name: (float(values.min()), float(values.max())) for name, values in ends.items() if values.size > 1}
@@ -151,7 +153,7 @@ def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: A
 
 
 def _place(ds: "xr.Dataset") -> tuple[AtlasStore, dict[str, float]]:
-    """Return the handle of the store that a dataset shows, and the values of the stack axis that select its plane."""
+    """Return the handle of a dataset's store, and the value of the stack axis at the dataset's plane, by name."""
     handle = handle_of(ds)
     axes = handle.spec.axes[2:]
     return handle, {axis.name: float(ds[axis.name]) for axis in axes if ds[axis.name].ndim == 0}

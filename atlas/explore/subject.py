@@ -1,4 +1,4 @@
-"""The subject of an explorer: a plane of a store or of a spec, the settings of exploring, and related planes."""
+"""The subject of an explorer: the plane of a store or of a spec that is explored, and the settings for its cells."""
 
 import math
 import os
@@ -33,25 +33,29 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Arrays = dict[str, NDArray[Any]]
-"""Results by name."""
+"""Results of cells, by name of the variable."""
 
 TOLERANCE = 0.05
-"""Default standard error of the largest exponent of explored cells, which is finer than a map can show."""
+"""Default tolerance, the standard error of the largest exponent, of cells that the explorer solves.
+
+It is finer than a map can show.
+"""
 SURVIVAL = 2000
-"""Maximum number of forcing periods for which explored cells are watched for chaos."""
+"""Maximum number of forcing periods for which cells that the explorer solves are watched for the end of chaos."""
 STARTS = AttractorSettings(keep=16)
 """Settings of the search for attractors of a cell, unless the spec has its own."""
 STEPS = 200
 """Number of steps of a slider."""
 POINTS = 401
-"""Number of points, at level zero, of an axis that the spec does not have."""
+"""Number of points, at level zero, of an axis over a parameter that is fixed in the spec."""
 
 
 def exploration_settings(settings: Settings, tolerance: float = TOLERANCE, survival: int = SURVIVAL) -> Settings:
-    """Return the settings for exploring an atlas.
+    """Return the settings with which the explorer solves cells of an atlas.
 
-    They are the atlas's own settings, with the tolerance raised to at least ``tolerance`` and the survival lowered to
-    at most ``survival``.
+    They are the atlas's own settings, with two changes that save time. The tolerance of the exponents is raised to at
+    least ``tolerance``. The maximum number of periods watched for chaos, ``survival``, is lowered to at most
+    ``survival``. Section states and observables are not stored.
     """
     return replace(
         settings,
@@ -64,17 +68,20 @@ def exploration_settings(settings: Settings, tolerance: float = TOLERANCE, survi
 
 @dataclass(frozen=True)
 class PlaneParameters:
-    """A plane of a system: name and value of each parameter that is not an axis, in the system's order."""
+    """The fixed parameters that select a plane of a system: name and value of each parameter that is not an axis.
+
+    Their order is that of the system.
+    """
 
     parameters: tuple[tuple[str, float], ...]
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, float]) -> "PlaneParameters":
-        """Return the plane with these parameters."""
+        """Return the plane with these fixed parameters, given by name."""
         return cls(tuple(parameters.items()))
 
     def with_value(self, name: str, value: float) -> "PlaneParameters":
-        """Return the plane with another value of one parameter."""
+        """Return the plane in which the fixed parameter ``name`` has the value ``value``."""
         return PlaneParameters(
             tuple((parameter, value if parameter == name else old) for parameter, old in self.parameters)
         )
@@ -82,13 +89,13 @@ class PlaneParameters:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The subject of a page: a spec of two axes, its store if there is one, and the settings for exploring.
+    """The subject of an explorer: a spec of two axes, its store if there is one, and the settings for exploring.
 
-    spec               spec of the plane
-    settings           settings of explored cells
+    spec               spec of the plane that is explored
+    settings           settings of cells that the explorer solves
     store              handle of the store; None if a spec is explored
     ds                 plane of the store as a dataset, with all stored attractors of its cells; None without a store
-    layer              index of the plane in a stack
+    layer              index of the plane in a stack (an atlas of three axes)
     attractors         settings of the spec's search for all attractors of each cell; None without a search
     stack_axis         third axis of a stack; None if there is no stack
     subject_of_layer   returns the subject of the layer at a value of the stack axis
@@ -109,10 +116,10 @@ class Subject:
         return None if self.ds is None or self.attractors is None else self.ds
 
     def part(self, cells: Mapping[str, Any]) -> "xr.Dataset":
-        """Return cells of the store, each with the attractor that its own initial state reaches.
+        """Return cells of the store as a dataset, each with the attractor that its own initial state reaches.
 
-        ``cells`` gives their indices along axes, by name. If a run is filling the store, the cells are those of this
-        moment.
+        ``cells`` gives the indices of the cells along axes, by the axes' names. If a run is filling the store, the
+        cells are read as they are at this moment.
         """
         assert self.ds is not None
         part = self.ds.isel(cells)
@@ -130,17 +137,17 @@ class Subject:
 
     @property
     def system(self) -> System:
-        """The system."""
+        """The system whose cells are explored."""
         return self.spec.system_def
 
     @cached_property
     def x(self) -> Lattice:
-        """The points of the horizontal axis."""
+        """The points of the horizontal axis at all zoom levels."""
         return Lattice(self.spec.axes[0])
 
     @cached_property
     def y(self) -> Lattice:
-        """The points of the vertical axis."""
+        """The points of the vertical axis at all zoom levels."""
         return Lattice(self.spec.axes[1])
 
     @property
@@ -151,11 +158,11 @@ class Subject:
 
     @property
     def layer_value(self) -> float | None:
-        """The value of the stack axis; None if there is no stack."""
+        """The value of the stack axis at this plane; None if there is no stack."""
         return None if self.stack_axis is None else self.stack_axis.values[self.layer]
 
     def with_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Subject":
-        """Return the subject of the same machine over other axes, or of another layer of a stack.
+        """Return the subject of the same system over other axes, or of another layer of a stack.
 
         axes    names of the axes across and up; other parameters have the middle values of the present axes
         layer   value of the stack axis; None for the present layer
@@ -183,7 +190,7 @@ class Subject:
 
     @cached_property
     def plane(self) -> PlaneParameters:
-        """The plane of the spec itself."""
+        """The fixed parameters of the spec."""
         return PlaneParameters.from_parameters(self.spec.parameters)
 
     @property
@@ -193,14 +200,18 @@ class Subject:
 
     @property
     def has_same_settings(self) -> bool:
-        """True if cells of the atlas equal explored cells, since both have the same settings."""
+        """True if explored cells equal those of the atlas, since settings and solver version are the same.
+
+        Always False for an atlas of all attractors.
+        """
         settings = replace(self.spec.settings, section_samples=0, observe="")
         same_solver = self.store is not None and self.store.solver_version == SOLVER_VERSION
         return same_solver and self.all_attractors is None and settings == self.settings
 
     def digest(self, plane: PlaneParameters) -> str:
-        """Return the digest of a plane and its exploration: system, axes, fixed parameters, settings and solver
-        version.
+        """Return a digest of all that decides explored cells of a plane.
+
+        These are the system, the axes, the fixed parameters ``plane``, the settings and the solver version.
         """
         axes = [[axis.name, axis.values] for axis in self.spec.axes]
         solve = dict(vars(self.settings))
@@ -208,7 +219,7 @@ class Subject:
         return digest_of(identity(self.system.to_resolved()) | rest)
 
     def plane_with(self, plane: PlaneParameters, name: str, value: float) -> PlaneParameters:
-        """Return the plane with another value of a parameter.
+        """Return the plane in which the fixed parameter ``name`` has the value ``value``.
 
         Raise InputError if the plane does not have the parameter, or if the value is out of range.
         """
@@ -217,48 +228,48 @@ class Subject:
         return plane.with_value(name, validate_in_range(self.system.parameter(name), value))
 
     def point(self, values: Mapping[str, float]) -> tuple[PlaneParameters, float, float]:
-        """Return the plane and the position (x, y) of a cell with these parameters: the inverse of ``values``."""
+        """Return the plane, and the point (x, y) in it, of a cell with these parameters: the inverse of ``values``."""
         x, y = (values[name] for name in self.axes)
         return PlaneParameters(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
-        """The variables of the cells, by name."""
+        """The variables (arrays of results) of explored cells, by name."""
         return {variable.name: variable for variable in self.system.variables(self.settings)}
 
     @property
     def numbers(self) -> list[str]:
-        """The names of the variables with one number per cell, without the regime and its reason."""
+        """The names of the variables that hold one number per cell, without the regime and its reason."""
         coded = REGIME.name, REASON.name
         return [name for name, variable in self.variables.items() if not variable.extra_dims and name not in coded]
 
     def without_results(self, names: Collection[str], shape: tuple[int, int]) -> Arrays:
-        """Return arrays for cells that have no results yet, by name."""
+        """Return arrays of ``shape`` for the variables ``names``, by name, filled as for unsolved cells."""
         return empty_results(tuple(self.variables[name] for name in names), shape, self.spec.extra_sizes)
 
     def values(self, plane: PlaneParameters, x: float, y: float) -> dict[str, float]:
-        """Return all parameters of a cell of a plane, by name."""
+        """Return the values of all parameters, by name, of the cell at (x, y) of a plane."""
         return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
 
     def viewport(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Viewport:
-        """Return the visible cells of a window.
+        """Return the ranges of visible cells of a window.
 
         x, y     limits (low, high) of the axes
         pixels   width and height of the window, in pixels
 
-        The levels are the deepest ones whose cells are not finer than pixels.
+        Their zoom levels are the deepest whose cells are not finer than pixels.
         """
         return Viewport(CellRange.from_window(self.x, *x, pixels[0]), CellRange.from_window(self.y, *y, pixels[1]))
 
     def points(self, x: CellRange, y: CellRange) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the values of both axes at cells, (N,) each."""
+        """Return the values of the horizontal and of the vertical axis at ranges of cells."""
         return self.x.values(x.level, x.index), self.y.values(y.level, y.index)
 
     def valid_mask(self, along: int, level: int, first: int, count: int) -> NDArray[np.bool_]:
-        """Return the mask (count, TILE_CELLS) of the cells of tiles along an axis that lie in the axis's valid range.
+        """Return which cells of consecutive tiles have a valid value of an axis, as a mask (count, TILE_CELLS).
 
         along   axis, 0 across or 1 up
-        level   level of the tiles
+        level   zoom level of the tiles
         first   index of the first tile
         count   number of tiles
         """
@@ -267,23 +278,26 @@ class Subject:
         return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE_CELLS))
 
     def grid(self, plane: PlaneParameters, x: Iterable[float], y: Iterable[float], mask_bits: bytes = b"") -> GridPatch:
-        """Return the patch of cells of a plane at these values of the axes."""
+        """Return, as a job's argument, the cells of a plane at the values ``x`` and ``y`` of the axes.
+
+        ``mask_bits`` is the packed mask (y, x) of the cells to solve; empty for all cells.
+        """
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
         return GridPatch(self.system, dict(plane.parameters), self.settings, across, up, mask_bits)
 
     def patch(self, plane: PlaneParameters, key: TileKey, missing: NDArray[np.bool_]) -> GridPatch:
-        """Return the patch of the missing cells (y, x) of a tile."""
+        """Return, as a job's argument, the cells of a tile that are to be solved; ``missing`` (y, x) is their mask."""
         return self.grid(plane, *self.points(key.columns, key.rows), packed(missing))
 
 
 def subject_of(
     source: str | StoreBackend | AtlasStore, view: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
 ) -> Subject:
-    """Return the subject that a user names.
+    """Return the subject, the plane to explore, that a user names.
 
     source      a store, a spec by file or name, or the handle of a store
     view        value of the stack axis that selects a plane of a stack; by default the first plane
-    tolerance   least tolerance of explored cells
+    tolerance   least tolerance, the standard error of the largest exponent, of explored cells
 
     Raise InputError if there is no plane to explore.
     """
@@ -332,14 +346,15 @@ def _subject(
 
 
 def own_axis(parameter: Parameter, value: float) -> Axis:
-    """Return an axis for a parameter that has one value in the spec, over its slider range, evenly spaced."""
+    """Return an axis for a parameter that the spec fixes at ``value``: evenly spaced points over the slider's range."""
     return Axis(parameter.name, tuple(np.linspace(*slider_range(parameter, value), POINTS).tolist()))
 
 
 def slider_range(parameter: Parameter, value: float) -> tuple[float, float]:
-    """Return the ends of a slider: the valid range if it is finite, else a range around the default and the value.
+    """Return the ends (low, high) of a parameter's slider.
 
-    An end that the valid range excludes is not reached.
+    They are the ends of the parameter's valid range where finite, else a distance beyond its default and ``value``. An
+    end that the valid range excludes is not reached.
     """
     reach = max(abs(value), abs(parameter.default), 0.5)
     low = parameter.low if math.isfinite(parameter.low) else min(value, parameter.default) - reach

@@ -1,4 +1,4 @@
-"""The texts of the page, as plain Unicode and HTML: symbols, numbers, the clicked cell, the title, the ticks."""
+"""The texts of an explorer page, as Unicode and HTML: symbols, numbers, the clicked cell, the title, the ticks."""
 
 import base64
 import html
@@ -26,7 +26,7 @@ wheel, two fingers, + and −: zoom
 drag, arrows: move
 pen above the plane: a cut along a line"""
 CLOSE = 1e-3
-"""Largest ratio of a window's width to its centre at which ticks count from a round number near the centre."""
+"""Largest ratio of a window's width to its centre at which ticks show distances from a round number near the centre."""
 
 
 def symbol_of(system: System, name: str) -> str:
@@ -35,7 +35,10 @@ def symbol_of(system: System, name: str) -> str:
 
 
 def title(subject: Subject, plane: PlaneParameters) -> str:
-    """Return the system and its fixed parameters as HTML, without initial states of zero."""
+    """Return the title of a page as HTML: the subject's name and the fixed parameters.
+
+    Initial states that are zero are left out.
+    """
     states, values = subject.system.states, dict(plane.parameters)
     equations = [
         _equation(symbol_of(subject.system, name), number(values[name]))
@@ -51,8 +54,10 @@ def _equation(symbol: str, value: str) -> str:
 
 
 def number(value: float, digits: int = 6) -> str:
-    """Return a number as text, as ``number`` of ``front/words.mjs`` does: with at most ``digits`` digits, a minus sign,
-    and a power of ten below a thousandth.
+    """Return a number as text, as the function ``number`` of ``front/words.mjs`` does in the browser.
+
+    The text has at most ``digits`` significant digits, a true minus sign, and a power of ten if the number is below a
+    thousandth.
     """
     if not math.isfinite(value):
         return "none" if math.isnan(value) else "∞" if value > 0.0 else "−∞"
@@ -65,7 +70,7 @@ def number(value: float, digits: int = 6) -> str:
 
 
 class TickFormat(NamedTuple):
-    """The format of an axis's ticks: each tick is written as (tick - base) / unit.
+    """How the ticks of an axis are written: each tick as (tick - base) / unit.
 
     base       value from which ticks count
     unit       value of one unit
@@ -80,7 +85,10 @@ class TickFormat(NamedTuple):
 
 
 def ticks(subject: Subject, name: str, low: float, high: float) -> TickFormat:
-    """Return the tick format of a window: plain numbers, or the distance from a round number in a narrow window."""
+    """Return the tick format of the axis ``name`` in the window from ``low`` to ``high``.
+
+    The ticks are plain numbers, or in a narrow window distances from a round number.
+    """
     parameter = subject.system.parameter(name)
     meaning = parameter.meaning.split(":")[0]
     unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
@@ -95,19 +103,25 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> TickFormat:
 
 
 def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
-    """Return the position of a cell by symbols: its axes, and the parameters that differ from the subject's plane."""
+    """Return the parameters that tell where a cell lies, as texts by symbol.
+
+    These are the values of its axes, and the other parameters in which it differs from the subject's plane.
+    """
     changed = [name for name, value in subject.plane.parameters if parameters[name] != value]
     return {symbol_of(subject.system, name): number(parameters[name]) for name in (*subject.axes, *changed)}
 
 
 def cell_line(cell: CellResult, subject: Subject) -> str:
-    """Return the position of a cell and its regime as HTML."""
+    """Return a line of HTML with the position of a cell and its regime."""
     places = [_equation(name, value) for name, value in where(subject, cell.parameters).items()]
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
 def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
-    """Return the numbers of a cell with their meanings as plain JSON; the page shows those of the cell's regime."""
+    """Return the numbers of a cell with their meanings, as plain JSON for the browser.
+
+    The browser leaves out numbers that cells of the regime do not have.
+    """
     variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     numbers = {name: value for name, value in cell.results.items() if isinstance(value, bool | int | float)}
     values = {name: value for name, value in numbers.items() if name not in subject.axes}
@@ -138,26 +152,31 @@ def cell_text(cell: CellResult) -> str:
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values for JSON, with None for NaN."""
+    """Return values for JSON, in which NaN is replaced by None."""
     return {name: None if value != value else value for name, value in values.items()}
 
 
 def first_compile_notice(system: System, *more: str) -> str:
-    """Return the end of a sentence about kernels that local workers compile first; empty if there are none."""
+    """Return the end of a sentence that says which kernels local workers will compile first; empty if there are none.
+
+    system   the system
+    more     names of computations beyond cells for which kernels are needed
+    """
     said = compile_notice(*kernels_for(system, *more))
     return f"; workers on this machine begin by {said}" if said.startswith("compiling") else ""
 
 
 def point_line(cell: CellResult, subject: Subject) -> str:
-    """Return the command that solves this cell again, to the bit."""
+    """Return the shell command that solves this cell again, with equal results to the bit."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
     return shlex.join(point_words(subject.system, cell.parameters, settings, cell.results.keys()))
 
 
 def refinement(shares: Sequence[float]) -> str:
-    """Return the density at which a view is drawn, as text.
+    """Return how densely the visible cells are drawn so far, as text.
 
-    ``shares`` are the shares of the viewport that are known at each stage, the coarsest first.
+    ``shares`` are the shares of the viewport that are known at each density, the coarsest first; each density halves
+    the cell width of the one before.
     """
     if not shares:
         return "no picture yet"
@@ -170,9 +189,9 @@ def refinement(shares: Sequence[float]) -> str:
 
 
 def progress(state: ServiceState, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:
-    """Return the line under the plane as HTML.
+    """Return the progress line under the plane as HTML.
 
-    state    state of the job service
+    state    state of the job service: trouble, workers and solving rate
     left     number of tiles still to be solved
     notes    further notes; empty ones are left out
     shares   shares of the viewport, see ``refinement``
@@ -194,5 +213,5 @@ def spaced(count: float) -> str:
 
 
 def data_address(kind: str, content: bytes) -> str:
-    """Return content of a media type as a data URL."""
+    """Return ``content`` of the media type ``kind``, such as image/png, as a data URL."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"

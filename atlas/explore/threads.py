@@ -7,11 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 
 PAUSE = 0.5
-"""Time, in seconds, after which the work starts again."""
+"""Time, in seconds, from an exception until the work of a thread starts again."""
 
 
 def restarting_thread(name: str, work: Callable[[], None], notify: Callable[[str], None]) -> threading.Thread:
-    """Start a thread that does ``work`` until it returns, and return the thread.
+    """Start a thread that does ``work``, again after each exception until it returns, and return the thread.
 
     name     name of the thread
     work     the work

@@ -1,4 +1,4 @@
-"""All known tiles of a subject: those in memory, and cells of the atlas."""
+"""The known cells of a subject, tile by tile: solved tiles in memory, and cells of the atlas."""
 
 import threading
 import time
@@ -17,22 +17,26 @@ from atlas.store.store import done_tiles
 from workers.results import INVALID, OUT_OF_RANGE, PENDING, REASON, REGIME
 
 MAX_BYTES = 384 * 2**20
-"""Maximum size, in bytes, of the tiles in memory."""
+"""Maximum size, in bytes, of all tiles in memory together."""
 RELIST_SECONDS = 5.0
 """Time, in seconds, after which the finished tiles of the atlas are listed anew, since a run may have written some."""
 MAX_REMEMBERED_ROWS = 4096
-"""Maximum number of rows and columns of tiles for which it is remembered whether they have a valid point."""
+"""Maximum number of rows and columns of tiles for which it is cached whether one of their cells is in range."""
 
 
 class MemoryTileCache:
-    """The most recently viewed tiles of several owners; the others are evicted."""
+    """The most recently viewed tiles of several owners, up to a total size; other tiles are evicted.
+
+    ``owner`` is the object whose tiles they are, ``plane`` the fixed parameters, and ``key`` the level and index of a
+    tile.
+    """
 
     def __init__(self, most_bytes: int = MAX_BYTES) -> None:
         self.most, self.bytes, self._lock = most_bytes, 0, threading.Lock()
         self._tiles: OrderedDict[tuple[object, PlaneParameters, TileKey], Arrays] = OrderedDict()
 
     def put(self, owner: object, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
-        """Add a tile, and evict the least recently viewed tiles if there is no room."""
+        """Add a tile's result arrays, and evict the least recently viewed tiles if there is no room."""
         at = owner, plane, key
         with self._lock:
             self.bytes += _size(arrays) - _size(self._tiles.pop(at, {}))
@@ -41,7 +45,7 @@ class MemoryTileCache:
                 self.bytes -= _size(self._tiles.popitem(last=False)[1])
 
     def get(self, owner: object, plane: PlaneParameters, key: TileKey) -> Arrays | None:
-        """Return the arrays of a tile and mark it as viewed; None if the tile is not in memory."""
+        """Return the result arrays of a tile and mark it as viewed; None if the tile is not in memory."""
         at = owner, plane, key
         with self._lock:
             if at not in self._tiles:
@@ -50,7 +54,7 @@ class MemoryTileCache:
             return self._tiles[at]
 
     def tiles_of_plane(self, owner: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
-        """Return the tiles of a plane."""
+        """Return the tiles in memory that an owner has of a plane, as pairs of a key and arrays."""
         with self._lock:
             tiles = self._tiles.items()
             return [(key, arrays) for (who, of, key), arrays in tiles if who is owner and of == plane]
@@ -63,9 +67,9 @@ class MemoryTileCache:
 
 
 class TileCache:
-    """The arrays (TILE_CELLS, TILE_CELLS, ...) of a subject by plane, tile and name.
+    """The known tiles of a subject, as result arrays (TILE_CELLS, TILE_CELLS, ...) by name.
 
-    subject   the subject
+    subject   the subject, that is, the plane that is explored
     memory    the cache in memory, which other subjects may share
     """
 
@@ -89,16 +93,18 @@ class TileCache:
         self.memory.put(self, plane, key, arrays)
 
     def drop(self) -> None:
-        """Remove all tiles from memory."""
+        """Remove all tiles of this subject from memory."""
         self.memory.drop(self)
 
     def tiles_of_plane(self, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
-        """Return the tiles of a plane that are in memory."""
+        """Return the tiles of a plane that are in memory, as pairs of a key and arrays."""
         return self.memory.tiles_of_plane(self, plane)
 
     def visible_tiles(self, plane: PlaneParameters, viewport: Viewport) -> list[tuple[TileKey, Arrays]]:
-        """Return the visible tiles that are not denser than the viewport, the coarsest first, and mark them as viewed;
-        tiles out of range come last.
+        """Return the known tiles that are visible and not denser than the viewport, and mark them as viewed.
+
+        The coarsest tiles come first. Tiles outside the valid ranges of the axes come last; all their cells are
+        invalid.
         """
         tiles = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if viewport.contains(key)]
         tiles.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
@@ -107,12 +113,14 @@ class TileCache:
         return tiles + [(key, self._invalid) for key in viewport.tiles(0) if self.is_out_of_range(key)]
 
     def full_tile(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
-        """Return all variables of a tile; None if the tile is not known."""
+        """Return the arrays of all variables of a tile; None if the tile is not known."""
         return self._invalid if self.is_out_of_range(key) else self.memory.get(self, plane, key)
 
     def parent(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
-        """Return every fourth cell of a tile, from its parent, or from the atlas if it has the same settings; None if
-        unknown.
+        """Return the arrays of every fourth cell of a tile, which are also cells of its coarser parent tile.
+
+        They are taken from the parent tile, or from the atlas if it has the settings of explored cells. Return None if
+        they are not known.
         """
         above = key.parent
         parent_tile = self.full_tile(plane, above)
@@ -129,13 +137,14 @@ class TileCache:
         return None
 
     def is_out_of_range(self, key: TileKey) -> bool:
-        """Return True if no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
+        """Return True if no cell of a tile lies in the valid ranges of the axes, so that there is nothing to solve."""
         return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
     @property
     def listed_at(self) -> float:
-        """Time at which finished tiles of the atlas were last listed, by ``time.monotonic``; constant once all are
-        finished.
+        """Time, by ``time.monotonic``, at which the finished tiles of the atlas were last listed.
+
+        It stays constant once all tiles are finished.
         """
         self.atlas_done()
         return self._listed_at

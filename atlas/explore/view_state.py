@@ -1,4 +1,7 @@
-"""The view state of a page, from its controls and its address: window, plane, map, overlays, colour limits."""
+"""The view state of a page: window, plane, map, overlays, colour limits, and chosen cell.
+
+The controls change it, and the address of the page holds it.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,12 +34,12 @@ Cut = tuple[float, float, float, float]
 
 
 class FollowedOrbit(NamedTuple):
-    """The orbit of the clicked cell, followed along a parameter.
+    """An orbit on the branch of the clicked cell's orbit, which is followed along a parameter.
 
     along       name of the parameter
     low, high   limits between which the branch has smaller steps
-    step        number of points along the branch from the cell's own orbit; negative before the orbit
-    value       parameter at that point, or between that point and the next
+    step        number of solution points along the branch from the cell's own orbit; negative before the orbit
+    value       parameter at that solution point, or between it and the next
     """
 
     along: str
@@ -50,23 +53,26 @@ ARGUMENTS = (
     "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow.orbit", "without",
     "axes", "layer", "token",
 )  # fmt: skip
-"""Arguments of an address besides parameters, whose names have no dot; ``token`` is the token of the server."""
+"""Names of the arguments of a page's address, besides parameters; ``token`` is the token of the server.
+
+Names with a dot cannot be confused with parameters, which have none.
+"""
 
 
 @dataclass(frozen=True)
 class ViewState:
-    """All that a link to a view restores.
+    """All that a link to a view of the explorer restores.
 
     x, y         limits (low, high) of the axes
-    plane        the plane
+    plane        the fixed parameters
     kind         kind of map
-    variable     variable of a map of kind SCALAR
+    variable     variable of a map of kind SCALAR, which colours cells by a number
     log          True for a logarithmic scale of a map of kind SCALAR
-    overlays     names of the overlays
+    overlays     names of the overlays, such as lines over the map
     vmin, vmax   colour limits; None for limits that the picture chooses
-    cell         clicked point; None if there is none
+    cell         clicked point, as its plane and values of both axes; None if there is none
     cut          line of the cut; None if there is none
-    follow       orbit of the clicked point that is followed; None if there is none
+    follow       orbit on the branch of the clicked cell; None if no orbit is followed
     hidden       kinds of curves that are hidden
     """
 
@@ -86,12 +92,12 @@ class ViewState:
 
     @property
     def picture(self) -> "ViewState":
-        """The part of the view state for which the browser needs a picture."""
+        """The view state without the fields that the browser can show by itself, without a new picture."""
         return replace(self, cell=None, cut=None, follow=None, vmin=None, vmax=None, hidden=())
 
     @property
     def map(self) -> str:
-        """The name of the map among all maps of a page."""
+        """The name by which the browser knows the chosen map: its kind, or variable and scale of a SCALAR map."""
         return f"{NUMBER}{self.variable}{LOGARITHM * self.log}" if self.kind == SCALAR else self.kind
 
     def middle(self, subject: Subject) -> tuple[float, float]:
@@ -104,17 +110,20 @@ class ViewState:
 
     @property
     def names(self) -> list[str]:
-        """The names of the variables that the map and its overlays need."""
+        """The names of the variables that the map needs, and of the regime."""
         variables = [self.variable] if self.kind == SCALAR else required_variables(self.kind)
         return list(dict.fromkeys([*variables, REGIME.name]))
 
     def visible_overlays(self, subject: Subject) -> tuple[str, ...]:
-        """Return the overlays that the view's plane has."""
+        """Return the chosen overlays that can be drawn on the view's plane.
+
+        The curves of a store belong to the store's own plane only.
+        """
         return tuple(name for name in self.overlays if name != CURVES or self.plane == subject.plane)
 
     @property
     def curves(self) -> tuple[str, ...] | None:
-        """The kinds of curves that may be drawn; None for all kinds."""
+        """The kinds of curves that may be drawn; None if no kind is hidden."""
         return tuple(kind for kind in CURVE_KINDS if kind not in self.hidden) if self.hidden else None
 
     def without_curves(self, subject: Subject) -> str:
@@ -132,7 +141,7 @@ class ViewState:
         return f"no curves at {view_text}: a store has curves only of its own plane, {atlas_text}"
 
     def figure_options(self, limits: Ends = (None, None)) -> AtlasFigureOptions:
-        """Return the options of ``render.figure`` for a picture of the view with these colour limits."""
+        """Return the options with which ``render.figure`` draws the view with these colour limits."""
         look: AtlasFigureOptions = {"vmin": limits[0], "vmax": limits[1]} if has_scale(self.kind) else {}
         look["overlay"] = self.overlays
         if CURVES in self.overlays:
@@ -143,11 +152,11 @@ class ViewState:
 
 
 STYLE_FIELDS = "kind", "variable", "log", "overlays", "hidden", "vmin", "vmax"
-"""The fields that give the style of a plane."""
+"""Fields of a view state that give the style of its plane, which the browser may change by itself."""
 
 
 def kinds(subject: Subject) -> list[str]:
-    """Return the kinds of maps for which the subject has the variables."""
+    """Return the kinds of maps that the subject's variables allow."""
     return [kind for kind in MAPS if subject.variables.keys() >= set(required_variables(kind))] + [SCALAR]
 
 
@@ -157,13 +166,13 @@ def overlays(subject: Subject) -> list[str]:
 
 
 def followable(subject: Subject) -> list[str]:
-    """Return the parameters along which an orbit can be followed, the axes first."""
+    """Return the names of the parameters along which an orbit can be followed, the axes first; no initial states."""
     others = [p.name for p in subject.system.parameters if p.name not in subject.axes]
     return [name for name in (*subject.axes, *others) if name not in subject.system.states]
 
 
 def initial_view(subject: Subject) -> ViewState:
-    """Return the view of the whole plane with the first possible kind of map."""
+    """Return the view of a subject's whole plane, with the first kind of map that its variables allow."""
     x, y = ((axis.values[0], axis.values[-1]) for axis in subject.spec.axes[:2])
     return ViewState(x, y, subject.plane, kinds(subject)[0], subject.numbers[0])
 
@@ -173,9 +182,10 @@ def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -
 
     subject   the other subject
     view      the old view
-    values    value of each parameter, by name
+    values    value of each parameter, by name, for the plane of the new view
 
-    A parameter whose value is out of range, as in the margin of a view, takes the value of the subject's plane.
+    A view may reach beyond the valid range of a parameter. A parameter whose value is out of range therefore takes the
+    value of the subject's plane.
     """
     begun, parameter = initial_view(subject), subject.system.parameter
     return replace(
@@ -195,7 +205,10 @@ def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -
 
 
 def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> ViewState:
-    """Return the view state of an address. Raise InputError, naming the argument, if the subject does not have it."""
+    """Return the view state that the arguments of an address give.
+
+    Raise InputError, naming the argument, if the subject does not have what the argument names.
+    """
     view, texts = initial_view(subject), {name: values[-1].decode() for name, values in arguments.items()}
     for name in sorted(texts, key=lambda name: name == "cell"):  # last, since others choose its plane
         view = replace(view, **_fields(subject, view, name, texts[name]))
@@ -205,7 +218,10 @@ def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> View
 
 
 def explorer_for_query(explorer: Explorer, arguments: Mapping[str, list[bytes]]) -> Explorer:
-    """Return the explorer of the axes and the layer in an address. Raise InputError if there is none."""
+    """Return the explorer of the axes and the layer that the arguments of an address name.
+
+    ``explorer`` is that of the address without arguments. Raise InputError if the axes or the layer do not exist.
+    """
     texts = {name: values[-1].decode() for name, values in arguments.items()}
     axes = tuple(texts["axes"].split(",")) if "axes" in texts else explorer.subject.axes
     if len(axes) != 2:
@@ -216,9 +232,10 @@ def explorer_for_query(explorer: Explorer, arguments: Mapping[str, list[bytes]])
 
 
 def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
-    """Return the query of an address for the position of a view: axes, window, plane, cell, cut and followed orbit.
+    """Return the part of an address's query that says what a view shows.
 
-    An address without a query belongs to ``home``.
+    It holds axes, layer, window, fixed parameters, cell, cut and followed orbit. Only differences from ``home``, the
+    subject of the address without a query, are given for axes, layer and parameters.
     """
     x, y = subject.axes
     pairs = [("axes", f"{x},{y}")] if subject.axes != home.axes else []
@@ -236,7 +253,10 @@ def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
 
 
 def style_query(view: ViewState) -> str:
-    """Return the query for the style of a view, which the browser may change by itself, see ``live.mjs``."""
+    """Return the part of an address's query that says how a view is drawn: map, overlays, curves and colour limits.
+
+    The browser may change the style by itself, see ``live.mjs``.
+    """
     pairs = [("kind", view.kind)]
     if view.kind == SCALAR:
         pairs += [("variable", view.variable)] + ([("log", "1")] if view.log else [])
@@ -247,7 +267,10 @@ def style_query(view: ViewState) -> str:
 
 
 def apply_style_query(subject: Subject, view: ViewState, query: str) -> ViewState:
-    """Return a view with the style of a query. Raise InputError, naming the argument, for an impossible style."""
+    """Return a view in the style that a query of ``style_query`` gives.
+
+    Raise InputError, naming the argument, for an impossible style.
+    """
     plain = replace(view, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
     for name, value in parse_qsl(query):
         plain = replace(plain, **_fields(subject, plain, name, value))
@@ -255,7 +278,7 @@ def apply_style_query(subject: Subject, view: ViewState, query: str) -> ViewStat
 
 
 def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[str, Any]:
-    """Return the fields of a view state that an argument of an address changes."""
+    """Return the fields of a view state, with their new values, that the argument ``name`` of an address changes."""
     (x, y), listed = subject.axes, value.split(",") if value else []
     if name == x:
         return {"x": _range(name, value, subject.x)}
@@ -289,7 +312,7 @@ def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[st
 
 
 def _possible(name: str, values: Sequence[str], possible: Sequence[str]) -> tuple[str, ...]:
-    """Return the values of an argument. Raise InputError unless all are possible."""
+    """Return the values that an argument of an address lists. Raise InputError unless all are in ``possible``."""
     unknown = [word for word in values if word not in possible]
     if unknown:
         raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(possible)}")
@@ -314,7 +337,7 @@ def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:
 
 
 def _points(subject: Subject, name: str, value: str, count: int) -> tuple[float, ...]:
-    """Return points of a plane, x and y of each."""
+    """Return ``count`` points of a plane, x and y of each in turn, from the text of an argument."""
     numbers = _numbers(name, value, 2 * count)
     for k, number in enumerate(numbers):
         _check_reach(name, (subject.x, subject.y)[k % 2], number)
@@ -322,7 +345,7 @@ def _points(subject: Subject, name: str, value: str, count: int) -> tuple[float,
 
 
 def _check_reach(name: str, lattice: Lattice, value: float) -> None:
-    """Raise InputError unless a value of an axis is small enough, or large enough, to be drawn."""
+    """Raise InputError if a value of an axis is too large, or on a logarithmic axis too small, to be drawn."""
     least = 1.0 / FARTHEST if lattice.log else -FARTHEST
     if not least <= value <= FARTHEST:
         raise InputError(f"{name}: found {value:g}, must be {least:g} to {FARTHEST:g}")

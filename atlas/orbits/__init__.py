@@ -1,1 +1,3 @@
-"""Stored cells as orbits; branches, curves and labels of these orbits."""
+"""Periodic orbits of stored cells: found again from the stored results, followed along branches, bounded by curves and
+labelled.
+"""

@@ -1,4 +1,4 @@
-"""The cells or attractors of a finished store as columns of results and parameters; rows may be orbits."""
+"""The results of a finished store as columns, one row for each cell or attractor; orbits are found from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,15 +23,19 @@ Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 SAME_ORBIT = 1e-6
-"""Maximum distance of section states of one orbit, relative to the largest component of any; exact orbits agree to
-1e-12.
+"""Tolerance for identifying section states, relative to the largest component of any state of the orbit.
+
+Section states are the states once per forcing period, or per passage of a section. Exact orbits agree to 1e-12.
 """
 
 
 def are_on_orbit(orbits: Array, states: Array) -> Mask:
-    """Return the mask (...) of states (..., n) that are section states of their orbits, which have states (..., q, n).
+    """Return the mask (...) of states that lie on an orbit.
 
-    The distance from the nearest one must be at most SAME_ORBIT of the orbit's largest component.
+    orbits (..., q, n)  section states of the orbits: once per forcing period, or per passage of a section
+    states (..., n)     state to be tested for each orbit
+
+    The distance from the nearest section state must be at most SAME_ORBIT of the orbit's largest component.
     """
     away = np.abs(orbits - states[..., None, :]).max(axis=-1).min(axis=-1)
     return np.asarray(away <= SAME_ORBIT * np.abs(orbits).max(axis=(-2, -1), initial=1e-300))
@@ -39,7 +43,7 @@ def are_on_orbit(orbits: Array, states: Array) -> Mask:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OrbitTable:
-    """Cells or attractors of a store, N rows.
+    """Results of the cells or attractors of a store as columns with N rows; base class.
 
     system              system of the store
     axes                names of the axes
@@ -49,8 +53,8 @@ class OrbitTable:
     impacts_upper (N,)  impacts at the upper stop
     impacts_lower (N,)  impacts at the lower stop
     symmetric (N,)      mask of orbits that are their own mirror images
-    state (N, 2n)       section state
-    cycle_period (N,)   periods of cycles, NaN for other motion; None with a force
+    state (N, 2n)       state at the start of a forcing period, or at a section of a motion without a force
+    cycle_period (N,)   periods of limit cycles, NaN for other motion; None with a force
     """
 
     system: System
@@ -66,22 +70,22 @@ class OrbitTable:
 
     @property
     def proven(self) -> Mask:
-        """The mask (N,) of rows with a periodic orbit."""
+        """The mask (N,) of rows with a known periodic orbit."""
         raise NotImplementedError
 
     def values(self, rows: Rows) -> Array:
-        """Return the parameters (R, axes) of rows."""
+        """Return the axes' parameters (R, axes) of the given R rows."""
         raise NotImplementedError
 
     @cached_property
     def kind(self) -> Rows:
-        """A number (N,) for each kind of orbit: regime, period, impacts at either stop, symmetry."""
+        """A number (N,) for each row's kind of orbit. Equal numbers mean equal regime, period, impacts and symmetry."""
         parts = (self.regime, self.period, self.impacts_upper, self.impacts_lower, self.symmetric)
         return np.unique(np.stack(parts, axis=1), axis=0, return_inverse=True)[1].ravel()
 
 
 def must_be_finished(handle: AtlasStore) -> None:
-    """Raise InputError, with the remedy, if a tile of a store is unfinished."""
+    """Raise InputError, with the command that completes the store, if a tile of the store is unfinished."""
     missing = handle.tiling.count - int(done_mask(handle).sum())
     if missing:
         raise InputError(f"{handle.backend}: {plural(missing, 'tile')} unfinished; complete the store with atlas run")
@@ -90,9 +94,13 @@ def must_be_finished(handle: AtlasStore) -> None:
 def current_group(
     handle: AtlasStore, group: str, version: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """Return the arrays and the attributes of a group, if written by this version of the method and of the solver.
+    """Return the arrays and the attributes of a group if this version of the method and of the solver wrote it.
 
-    Return None if there is no such group, or it is damaged: the group is then computed again.
+    handle   the store
+    group    name of the group
+    version  version of the method, as stored in the group
+
+    Return None if there is no such group, another version wrote it, or it is damaged. The group is then computed again.
     """
     try:
         stored = read_group(handle, group)
@@ -105,11 +113,10 @@ def current_group(
 def columns_of(
     handle: AtlasStore, names: Sequence[str], tile: tuple[int, ...] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return results (cells, keep, ...) of a store's cells, or of those of a tile, in C order; keep is 1 for one
-    attractor.
+    """Return the named results (cells, keep, ...) of a store's cells, or of the cells of a tile, in C order.
 
-    Integers are int64. Raise InputError for a result that the store does not have, and ChunkError if a chunk is missing
-    or damaged.
+    ``keep`` is the number of attractors stored per cell; 1 in an atlas of one attractor per cell. Integers are int64.
+    Raise InputError for a result that the store does not have, and ChunkError if a chunk is missing or damaged.
     """
     check_names("result of this atlas", names, [variable.name for variable in handle.variables])
     if tile is None:
@@ -126,7 +133,10 @@ def columns_of(
 
 
 def params_of(spec: Spec, slices: tuple[slice, ...] | None = None) -> dict[str, NDArray[np.float64]]:
-    """Return the value (cells,) of every parameter in a block of cells, by default in all, in C order."""
+    """Return the value (cells,) of every parameter in the cells of a block, in C order.
+
+    ``slices`` selects the block along each dimension; None selects all cells.
+    """
     block = tuple(slice(0, n) for n in spec.shape) if slices is None else slices
     cell_values, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
     return {

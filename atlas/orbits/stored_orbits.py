@@ -1,7 +1,7 @@
-"""Stored cells as orbits: the one way from the results of periodic cells to the equations of their impacts.
+"""The periodic orbits of stored cells, solved from the stored results.
 
-An orbit is recorded over one turn of the motion from its stored state. Newton's method then solves all orbits of one
-itinerary together.
+An orbit is recorded by simulating one period from the stored state. Newton's method then solves together all orbits
+that have one itinerary, the sequence of impacts and other events.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,11 +19,11 @@ from workers.model.family import NoOscillatorError
 from workers.results import CYCLE_PERIOD, NO_IMPACT, REGIME
 
 NEEDED = (REGIME.name, "period", "symmetric", "state")
-"""Variables from which an orbit is made, besides the cell's parameters; without a force also CYCLE_PERIOD."""
+"""Names of the stored results from which an orbit is solved, besides parameters; without a force also CYCLE_PERIOD."""
 
 
 class StoredOrbits:
-    """The orbits of rows of a store, each solved once, and followed to other parameters."""
+    """The periodic orbits of a store's cells or attractors, each solved once, and continued to other parameters."""
 
     def __init__(self, rows: OrbitTable) -> None:
         self.rows = rows
@@ -31,7 +31,10 @@ class StoredOrbits:
         self._known: dict[int, Orbit | None] = {}
 
     def family_along(self, axis: int, values: Array) -> Family:
-        """Return the family of orbits along one axis, by its index, through a point (axes,)."""
+        """Return the family of orbits with one free parameter, that of the axis with index ``axis``.
+
+        All other axes have their values (axes,) at a point.
+        """
         table = self.rows
         others = {
             name: float(value) for name, value in zip(table.axes, values, strict=True) if name != table.axes[axis]
@@ -39,15 +42,15 @@ class StoredOrbits:
         return family_of(table.system, {**table.fixed, **others}, (table.axes[axis],))
 
     def orbit_of_row(self, row: int) -> Orbit | None:
-        """Return the orbit of a row; None without a proven one, or if Newton's method finds none, for example for R =
-        0.
+        """Return the orbit of a row; None if the row is not periodic or Newton's method finds no orbit, for example for
+        R = 0.
         """
         if row not in self._known:
             self.find([row])
         return self._known[row]
 
     def find(self, rows: Iterable[int]) -> None:
-        """Solve for the orbits of rows; many rows at once are faster."""
+        """Solve for the orbits of rows and keep them. Many rows in one call are faster than many calls."""
         table, known = self.rows, self._known
         unsolved = np.array([row for row in dict.fromkeys(map(int, rows)) if row not in known], dtype=np.int64)
         known.update(dict.fromkeys(unsolved.tolist()))
@@ -64,11 +67,11 @@ class StoredOrbits:
         known.update((row, orbit) for row, orbit in pairs if isinstance(orbit, Orbit))
 
     def are_still(self, rows: Rows) -> Mask:
-        """Return the mask of rows that stand still, without a force: their orbits are equilibria."""
+        """Return the mask of rows of an unforced machine that are at rest, so that the orbit is an equilibrium."""
         return np.asarray((self.rows.regime[rows] == NO_IMPACT) & self.rows.system.definition.unforced)
 
     def _equilibrium(self, row: int) -> Orbit | None:
-        """Return the equilibrium of a row; None if friction makes it stick."""
+        """Return the equilibrium at which the machine of a row rests; None if friction holds it there."""
         table, (values,) = self.rows, self.rows.values(np.array([row]))
         parameters = {**table.fixed, **dict(zip(table.axes, values.tolist(), strict=True))}
         try:
@@ -77,8 +80,9 @@ class StoredOrbits:
             return None
 
     def group_by_itinerary(self, rows: Rows) -> Iterator[tuple[Rows, list[Orbit]]]:
-        """Yield the indices of rows whose orbits have one itinerary, with these orbits; rows without an orbit are left
-        out.
+        """Group rows by the itinerary of their orbits, the sequence of impacts and other events.
+
+        Yield, for each group, the indices into ``rows`` and the orbits. Rows without an orbit are left out.
         """
         self.find(rows)
         orbits = [self.orbit_of_row(int(row)) for row in rows]
@@ -93,11 +97,15 @@ class StoredOrbits:
         steps: int = 1,
         attracting: bool = False,
     ) -> OrbitBatch:
-        """Return orbits of one itinerary, continued from parameters (N, axes) to others by Newton's method in equal
-        steps.
+        """Continue orbits with one itinerary from parameters (N, axes) to others by Newton's method.
 
-        The mask ``converged`` of the result marks orbits that are found, and with ``attracting`` also attract there. It
-        is False throughout if one of the orbits has no machine on the way.
+        orbits           N orbits with the same sequence of impacts and other events
+        from_parameters  parameters (N, axes) of the orbits
+        to_parameters    parameters (N, axes) to reach, in ``steps`` equal steps
+        attracting       True to accept only orbits that attract
+
+        The mask ``converged`` of the result marks orbits that are found and accepted. It is False throughout if the
+        parameters of one of the orbits on the way admit no machine.
         """
         reached = start = many_of(orbits, from_parameters)
         try:
@@ -109,10 +117,12 @@ class StoredOrbits:
 
 
 def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) -> list[Orbit | str]:
-    """Return the exact orbit of each of N periodic cells, or in words why there is none, for example for R = 0.
+    """Return the exact orbit of each of N periodic cells, or the reason in words if there is none, for example for R =
+    0.
 
+    family            system with its free and fixed parameters
     points (N, free)  values of the family's free parameters
-    cells             columns NEEDED as the store has them: (N,), states (N, 2n)
+    cells             the stored results NEEDED by name: (N,), states (N, 2n)
 
     Motion without impact is its own mirror image in a symmetric machine, even if its row in the store is not marked so.
     Raise NoOscillatorError for a point without a machine.
@@ -138,7 +148,10 @@ def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) 
 
 
 def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list[Orbit | str]:
-    """Return the orbits near these at their points (N, free), to rounding, or why there is none. Reasons are kept."""
+    """Refine approximate orbits at their points (N, free) by Newton's method, to rounding errors.
+
+    An entry becomes a reason in words if there is no orbit. Entries that are reasons are returned as they are.
+    """
     solved = list(orbits)
     for rows in group_indices(orbit.itinerary if isinstance(orbit, Orbit) else None for orbit in orbits):
         same = [orbit for k in rows.tolist() if isinstance(orbit := orbits[k], Orbit)]
@@ -148,7 +161,7 @@ def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list
 
 
 def _by_newton(family: Family, orbits: list[Orbit], points: Array) -> list[Orbit | str]:
-    """Do the work of ``_exact`` for orbits of one itinerary."""
+    """Do the work of ``_exact`` for orbits that all have the same sequence of impacts and other events."""
     try:
         near = continued_to(family, many_of(orbits, points), points)
     except ValueError as error:

@@ -1,1 +1,1 @@
-"""The overviews of an atlas: levels of coarser cells."""
+"""The overviews of an atlas: copies with ever coarser cells, from which pictures of the whole are drawn."""

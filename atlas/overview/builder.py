@@ -1,6 +1,7 @@
 """The overviews of a store during a run: chunks over lost tiles are dropped, missing chunks are built at the end.
 
-The store shows which chunks are missing and can be built, so a kill needs no record.
+Overviews are coarser copies of the atlas. The store shows which chunks are missing and can be built, so a kill needs no
+record.
 """
 
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from workers.results import REGIME
 
 
 class OverviewBuilder:
-    """The overviews of a store during a run that writes the store.
+    """Builds the missing chunks of the overviews during a run that writes the store.
 
     At the start it creates the groups of all levels and drops chunks over tiles that are no longer finished. ``side``
     and ``minimum`` are ``chunk_side`` and ``min_side`` of ``OverviewLevels``; a store with overviews keeps its own.
@@ -38,20 +39,22 @@ class OverviewBuilder:
         self._pyramid.drop(map(tuple, np.argwhere(~done_mask(handle)).tolist()))
 
     def __bool__(self) -> bool:
-        """Return True if a missing chunk can be built."""
+        """Return True if a missing chunk can be built: all tiles or chunks below it are finished."""
         return any(map(self.missing_chunks, self.levels))
 
     def missing_chunks(self, level: int) -> list[Index]:
-        """Return the missing chunks of a level that can be built: everything below them exists."""
+        """Return the indices of a level's missing chunks that can be built: all tiles or chunks below them are
+        finished.
+        """
         levels, stored = self._pyramid.levels, self._pyramid.stored(level, REGIME)
         below = done_tiles(self._handle) if level == 1 else self._pyramid.stored(level - 1, REGIME)
         missing = (index for index in levels.chunks(level) if index not in stored)
         return [index for index in missing if below.issuperset(levels.children(level, index))]
 
     def finish(self, report: Callable[[int, int], None] = lambda _done, _all: None) -> int:
-        """Build all chunks that can be built, level by level, and return their number.
+        """Build all missing chunks that can be built, level by level, and return their number.
 
-        ``report`` is called before each chunk with the number of chunks built and of all missing chunks of its level.
+        ``report`` is called before each chunk with the number of chunks of its level built, and the number to build.
         Raise RunError if a write fails.
         """
         self._handle.backend.confirm_lease()

@@ -1,4 +1,4 @@
-"""Coarsening by two: functions from the arrays of cells to the arrays of the overview cells above them.
+"""Coarsening by two: from the arrays of cells to the arrays of an overview, whose cells cover two cells per dimension.
 
 regime             the class with the largest area; a tie goes to the later one in the table of regimes, towards doubt
 regime_shown       the class in pictures: failed if any cell below is, else pending if any is, else undetermined if at
@@ -7,7 +7,7 @@ regime_share       share of the area of every class
 largest_positive   share of the finite largest exponents that are positive
 cells              number of solved cells
 
-Other variables of a level:
+Other variables of a level, that is of one overview:
 
 - Measured numbers (exponents, errors, speeds) are means over the finite values, and ``<name>_count`` is their number.
   The mean is -inf if no value is finite and some are -inf.
@@ -46,7 +46,7 @@ from workers.results import (
 )
 
 UNDETERMINED_SHARE = 1 / 16
-"""Share of undetermined cells at and above which pictures show a coarse cell as undetermined."""
+"""Minimum share of undetermined cells below a coarse cell at which pictures show it as undetermined."""
 
 CLASSES = ("period", "impacts_upper", "impacts_lower")
 SHARE = Variable("regime_share", "float64", 0.0, "share of the area of each regime", "1", ("class",))
@@ -55,22 +55,24 @@ CELLS = Variable("cells", "int32", 0, "solved cells behind a coarse cell", "1")
 POSITIVE = Variable("largest_positive", "float64", np.nan, "share of positive values among the finite ones", "1")
 PERIOD_COUNT = Variable("period_count", "int32", 0, "cells behind period and impacts", "1")
 CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
-"""Regime of each entry along the dimension "class"."""
+"""Code of the regime at each position along the dimension "class"."""
 _PLACES = {APERIODIC: CHAOTIC + 0.5, LOCKING: PERIODIC + 0.5, REGULAR: QUASIPERIODIC + 0.5}
 _TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: _PLACES.get(int(CODES[i]), float(CODES[i]))))
-"""Entries in the order of the table, except later additions: ``aperiodic`` follows ``chaotic``, ``locking`` follows
-``periodic``, ``regular`` follows ``quasiperiodic``.
+"""Positions along the dimension "class" in the order in which ties are decided, the later one winning.
+
+It is the order of the table of regimes, but ``aperiodic`` follows ``chaotic``, ``locking`` follows ``periodic``, and
+``regular`` follows ``quasiperiodic``.
 """
 
 WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own_attractor", "mirror")
-"""Variables whose values are codes of names, which have no mean."""
+"""Names of the results that are codes or indices, so that a mean over cells has no meaning."""
 
 Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
 
 
 def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
-    """Return the variables of every level of an atlas with these results.
+    """Return the variables of every overview of an atlas whose cells have these results.
 
     ``regime`` comes last, since it is written last. Codes of names, such as a reason, and variables with several values
     per cell have no mean and are omitted.
@@ -93,12 +95,12 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
 
 
 def count_of(name: str) -> str:
-    """Return the name of the count of a measured number."""
+    """Return the name of the variable that counts the finite values of a measured number."""
     return f"{name}_count"
 
 
 def required_variables(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
-    """Return all variables of a level that coarsening the named ones needs, in their order."""
+    """Return the names of all variables of an overview that are needed to coarsen the named ones, in their order."""
     required = {*names, SHARE.name, REGIME.name}
     if required & {*CLASSES, PERIOD_COUNT.name}:
         required |= {*CLASSES, PERIOD_COUNT.name}
@@ -110,9 +112,10 @@ def required_variables(variables: Iterable[Variable], names: Iterable[str]) -> l
 
 
 def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cells:
-    """Return cells of the atlas in the form of a level: means of one value, shares of 0 and 1.
+    """Convert results of the atlas's cells to the variables of an overview: means of one value, shares of 0 and 1.
 
-    A cell without a regime has no result yet, even if a worker has written other variables.
+    ``names`` are the variables to convert. A cell without a regime has no result yet, even if a worker has written
+    other variables.
     """
     codes = arrays[REGIME.name]
     solved, periodic = codes != PENDING, codes == PERIODIC
@@ -137,7 +140,7 @@ def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cell
 
 
 def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cells:
-    """Return the next level of a block: half as many cells along the given dimensions, rounded up.
+    """Return the variables of the next coarser level of a block: half as many cells along some dimensions, rounded up.
 
     cells    arrays of the cells, with all variables of ``required_variables``
     widths   widths of the cells, one array per dimension, in any unit; only their ratios count
@@ -169,14 +172,14 @@ def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cell
 
 
 def halve_widths(width: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the widths of the next level's cells along a dimension."""
+    """Return the widths of the next coarser level's cells along a dimension: sums of two widths."""
     return np.add.reduceat(width, np.arange(0, width.size, 2))
 
 
 def _below(values: NDArray[Any], dims: Sequence[int], fill: float) -> NDArray[Any]:
-    """Return the cells below each coarse cell along a new first axis, 2 per coarsened dimension.
+    """Return the values of the cells that each coarse cell covers, along a new first axis: 2 per coarsened dimension.
 
-    Missing cells have the value ``fill``.
+    Cells missing at the far end have the value ``fill``.
     """
     odd = [(0, n % 2 if dim in dims else 0) for dim, n in enumerate(values.shape)]
     below = [np.pad(values, odd, constant_values=fill) if any(after for _, after in odd) else values]
@@ -195,7 +198,9 @@ def _mean(values: NDArray[Any], counts: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
-    """Return the triple below with the most cells, and the number of its cells."""
+    """Return the triple of period and impacts that most cells have below each coarse cell, and the number of these
+    cells.
+    """
     counts = _below(cells[PERIOD_COUNT.name], dims, 0)
     triples = np.stack([_below(cells[name], dims, 0) for name in CLASSES])
     same = (triples[:, :, None] == triples[:, None, :]).all(0)

@@ -1,4 +1,4 @@
-"""The coordinates of the overview levels: centres and edges of coarse cells.
+"""The coordinates of the overviews, coarser copies of an atlas: centres and edges of coarse cells.
 
 Coarsened dimensions have their own names. ``xarray.open_datatree`` makes a tree of datasets from a store. There a group
 must not have an ``omega`` that differs from the ``omega`` of the group above.
@@ -17,7 +17,10 @@ from workers.results import REGIMES
 
 
 def level_coordinates(handle: AtlasStore, level: int) -> dict[str, StoredArray]:
-    """Return the coordinates of a level by name: axes with bounds, fixed parameters, the names of the classes."""
+    """Return the coordinate arrays of an overview level by name.
+
+    They are the centres and edges of cells along the axes, the fixed parameters, and the names of the regimes.
+    """
     spec, base, arrays = handle.spec, handle.coordinates, {}
     for axis in reversed(spec.axes):
         if axis.name in spec.dims[: spec.n_uncoarsened_dims]:
@@ -36,17 +39,20 @@ def level_coordinates(handle: AtlasStore, level: int) -> dict[str, StoredArray]:
 
 
 def coarse_name(axis: str) -> str:
-    """Return the name of an axis in levels that coarsen it."""
+    """Return the name that a coarsened axis has in the overviews."""
     return f"{axis}_coarse"
 
 
 def level_dims(spec: Spec) -> tuple[str, ...]:
-    """Return the dimensions of a cell's variables in every level."""
+    """Return the names of the dimensions of variables in every overview."""
     return (*spec.dims[: spec.n_uncoarsened_dims], *map(coarse_name, spec.dims[spec.n_uncoarsened_dims :]))
 
 
 def multiscales(spec: Spec, levels: int) -> list[dict[str, Any]]:
-    """Return the attribute of the group of all levels, level 0 first, by which viewers find multiscale images."""
+    """Return the attribute by which viewers of multiscale images find all levels, that of the group of overviews.
+
+    ``levels`` is the number of levels above the atlas itself, level 0, which is listed first.
+    """
     scales = [
         [1 if k < spec.n_uncoarsened_dims else 2**level for k in range(len(spec.dims))] for level in range(levels + 1)
     ]

@@ -1,4 +1,5 @@
-"""The pyramid of overviews in a store: every level is a group, ``overviews/1`` and on, that plain xarray opens.
+"""The overviews in a store, coarser copies of the atlas: every level is a group, ``overviews/1`` and on, for plain
+xarray.
 
 The workers of a run write the overviews. A chunk of level 1 over a single tile is written with the tile. Any other
 chunk is a job from the coordinator (``OverviewBuilder``). Overviews are only a cache of finished work:
@@ -7,7 +8,7 @@ chunk is a job from the coordinator (``OverviewBuilder``). Overviews are only a 
   none pending, if and only if the chunk is current.
 - The chunks over a lost tile are dropped before the tile is written again, ``regime`` first.
 
-A kill at any moment leaves a chunk current or missing. A reader computes missing chunks from the previous level
+A kill leaves a chunk current or missing. A reader computes missing chunks from the previous level
 (``atlas.query.store_block``).
 """
 
@@ -56,23 +57,30 @@ from workers.results import PENDING, REGIME, Variable
 
 GROUP = OVERVIEWS
 MARKS = (REGIME, REGIME_SHOWN)
-"""Variables written last of a chunk, the first of them at the very end: either one marks the others as complete."""
+"""The two variables of a chunk that are written last, ``regime`` at the very end. Either marks the others as
+complete.
+"""
 _LOOKS, _PAUSE = 10, 0.2
-"""Number of reads, and seconds between them: a tile that an earlier run still writes is unfinished for a moment."""
+"""Number of attempts at reading finished cells, and seconds between them.
+
+A tile that an earlier run still writes is unfinished for a moment.
+"""
 
 _SHAPES = ("side", "least", "classes")
-"""Attributes of the group of all levels: ``chunk_side`` and ``min_side`` of ``OverviewLevels``, the number of
+"""Attributes of the group of all levels: ``chunk_side`` and ``min_side`` of ``OverviewLevels``, and the number of
 regimes.
 """
 
 
 class Pyramid:
-    """The cells of a store, which are level 0, and its overviews: reading, writing, dropping.
+    """The cells of a store, which are level 0, and its overviews, levels 1 and on: reading, writing, dropping.
 
-    made     True if there are overviews
-    levels   geometry of the levels; ``side`` and ``minimum`` apply to overviews that are not created yet
+    exists   True if there are overviews
+    levels   geometry of the levels
 
-    ``data`` are the metadata of the group of all levels, by default those in the store.
+    handle         the store
+    side, minimum  ``chunk_side`` and ``min_side`` of ``OverviewLevels``, for overviews that are not created yet
+    data           metadata of the group of all levels, by default those in the store
     """
 
     def __init__(
@@ -100,7 +108,7 @@ class Pyramid:
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
-        """Variables of every level, from the results in the store."""
+        """Variables of every overview, which follow from the results in the store."""
         return level_variables(self.handle.variables)
 
     @cached_property
@@ -113,7 +121,7 @@ class Pyramid:
         return levels
 
     def array(self, level: int, name: str) -> Any:
-        """Return a variable of a level as a Zarr array."""
+        """Return a variable of a level as a Zarr array for reading."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
             node = self.nodes[f"{level}/{name}"] if level else self.handle.nodes[name]
@@ -121,7 +129,10 @@ class Pyramid:
         return self._arrays[path]
 
     def read(self, level: int, name: str, block: Slices) -> NDArray[Any]:
-        """Return a block of a variable of a level. Raise ChunkError if a chunk of the block is missing or damaged."""
+        """Return the values of a variable in a block of a level's cells.
+
+        Raise ChunkError if a chunk of the block is missing or damaged.
+        """
         array = self.array(level, name)
         with _named(self.handle, array.path):
             values = np.asarray(array[block])
@@ -130,13 +141,13 @@ class Pyramid:
         return values
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
-        """Return the indices of the existing chunks of a level, by one of MARKS, from one listing."""
+        """Return the indices of a level's chunks that exist, by one of the variables MARKS, from one listing."""
         folder = f"{GROUP}/{level}/{mark.name}/c"
         keys = self.handle.backend.whole_keys(self.handle.backend.list_keys(f"{folder}/"))
         return set(map(tuple, np.argwhere(chunk_mask(keys, folder, self.levels.grid(level))).tolist()))
 
     def create(self) -> None:
-        """Create the groups of all levels, without values, unless they exist."""
+        """Create the groups of all overview levels, without values, unless they exist."""
         if self.exists:
             return
         backend, top = self.handle.backend, f"{GROUP}/{ROOT}"
@@ -149,7 +160,7 @@ class Pyramid:
         self.exists = True
 
     def layout(self) -> dict[str, bytes]:
-        """Return all metadata and coordinates of overviews, by key."""
+        """Return all metadata and coordinates that the overviews should have, as bytes by key."""
         shapes = {"side": self.levels.chunk_side, "least": self.levels.min_side, "classes": int(CODES.size)}
         about = {"multiscales": multiscales(self.handle.spec, self.levels.count)}
         objects = {f"{GROUP}/{ROOT}": sealed(shapes | about, self.nodes)}
@@ -163,13 +174,13 @@ class Pyramid:
         return objects
 
     def coordinates(self) -> dict[str, StoredArray]:
-        """Return the coordinates of all levels by path."""
+        """Return the coordinates of all levels by their path in the store."""
         levels = range(1, self.levels.count + 1)
         by_level = {level: level_coordinates(self.handle, level) for level in levels}
         return {f"{GROUP}/{level}/{name}": array for level in levels for name, array in by_level[level].items()}
 
     def build_chunk(self, level: int, index: Index) -> None:
-        """Compute a chunk of a level from the previous level and write it, ``regime`` last.
+        """Compute a chunk of a level from the next finer level and write it, ``regime`` last.
 
         All tiles below the chunk must be finished. Raise RunError if cells below stay pending.
         """
@@ -187,9 +198,9 @@ class Pyramid:
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
     def build_chunk_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
-        """Write the chunk of level 1 over a finished tile from its arrays.
+        """Write the chunk of level 1 that covers a finished tile, from the results of the tile.
 
-        Return False if the chunk needs other tiles.
+        Return False, without writing, if there are no overviews or the chunk covers other tiles, too.
         """
         if not (self.exists and self.levels.is_alone_under_chunk(tile)):
             return False
@@ -199,7 +210,11 @@ class Pyramid:
         return True
 
     def _write(self, level: int, index: Index, below: Cells) -> None:
-        """Coarsen the cells of the previous level below a chunk, write the chunk, and commit its ``regime`` last."""
+        """Coarsen ``below``, the cells that a chunk covers in the next finer level, and write the chunk, ``regime``
+        last.
+
+        The lease is confirmed before ``regime`` is written.
+        """
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
@@ -213,11 +228,13 @@ class Pyramid:
             self.handle.backend.commit(key, data)
 
     def drop(self, tiles: Iterable[Index]) -> None:
-        """Drop the overviews of these tiles, before any of the tiles is written."""
+        """Make the overview chunks over these tiles count as missing, before any of the tiles is written."""
         self.drop_chunks({(1, self.levels.chunk_over(tile)) for tile in tiles})
 
     def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> int:
-        """Drop chunks, given as pairs (level, index), and all chunks over them; return the number of dropped chunks."""
+        """Make chunks, given as pairs (level, index), and all coarser chunks over them count as missing; return their
+        number.
+        """
         requested, dropped = set(chunks), set[tuple[int, Index]]()
         if not requested or not self.exists:
             return 0
@@ -233,7 +250,7 @@ class Pyramid:
 
     @cached_property
     def nodes(self) -> dict[str, Node]:
-        """Metadata of the groups of all levels and of their arrays, by path below the group of all levels."""
+        """Zarr metadata of the groups of all levels and of their arrays, by path below the group of all levels."""
         levels = range(1, self.levels.count + 1)
         nodes: dict[str, Node] = {str(level): group_node(self._about(level)) for level in levels}
         for path, stored in self.coordinates().items():
@@ -269,7 +286,7 @@ class Pyramid:
 
 
 def pyramid_of(handle: AtlasStore) -> Pyramid:
-    """Return the cells and overviews of a store as they are, opened once for all views of its handle."""
+    """Return the cells and overviews of a store, opened once for a handle and its copies with other backends."""
     with handle.cache.lock:
         pyramid = handle.cache.get(GROUP) or Pyramid(handle)
         handle.cache[GROUP] = pyramid
@@ -279,13 +296,13 @@ def pyramid_of(handle: AtlasStore) -> Pyramid:
 
 
 def drop_overviews(handle: AtlasStore) -> None:
-    """Drop all overviews: without its own metadata the group counts as absent."""
+    """Make all overviews count as absent, by removing the metadata of their group."""
     drop_group(handle, GROUP)
 
 
 @contextmanager
 def _named(handle: AtlasStore, path: str) -> Iterator[None]:
-    """Convert errors from damaged bytes into a ChunkError with the path."""
+    """Convert errors that damaged bytes cause within the block into a ChunkError that names the path."""
     try:
         yield
     except (OSError, MemoryError, RunError):
@@ -295,7 +312,10 @@ def _named(handle: AtlasStore, path: str) -> Iterator[None]:
 
 
 def _stored_shapes(data: bytes | None) -> dict[str, int] | None:
-    """Return the shapes of levels in the metadata of their group; None without sound overviews of all regimes."""
+    """Return the attributes ``_SHAPES`` in the metadata of the group of all levels.
+
+    None if the metadata are damaged, or written for another number of regimes.
+    """
     attributes = unsealed(data)
     if attributes is None or attributes.get("classes") != CODES.size:
         return None
@@ -303,5 +323,5 @@ def _stored_shapes(data: bytes | None) -> dict[str, int] | None:
 
 
 def level_key(level: int, variable: Variable, index: Index) -> str:
-    """Return the key of a chunk of a variable of a level."""
+    """Return the key of the object with a chunk of a variable of a level."""
     return f"{GROUP}/{level}/{chunk_key(variable, index)}"

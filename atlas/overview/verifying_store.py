@@ -29,14 +29,20 @@ from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
 _FRAME = b"\x28\xb5\x2f\xfd"
-"""First bytes of a Zstandard frame."""
+"""First four bytes of data compressed by Zstandard."""
 _PATIENCE_SECONDS = 10.0
 _asked: ContextVar[set[tuple[StoreBackend, str]] | None] = ContextVar("asked", default=None)
-"""Arrays requested within ``skip_chunk_reads``; Zarr's own thread works in the context of the caller."""
+"""Arrays from which chunks were requested within ``skip_chunk_reads``.
+
+Zarr's own thread works in the context of the caller, so it sees the same set.
+"""
 
 
 class VerifyingStore(BackendStore):
-    """Zarr's store of an atlas, read-only; ``get`` raises ChunkError. ``chunks_read`` counts the chunks read."""
+    """A Zarr store for reading an atlas. ``get`` raises ChunkError for a missing or damaged chunk.
+
+    ``chunks_read`` counts the chunks read.
+    """
 
     def __init__(self, handle: AtlasStore) -> None:
         super().__init__(handle.backend)
@@ -50,7 +56,10 @@ class VerifyingStore(BackendStore):
         self._checked = {variable.name for variable in (*handle.variables, *ALLOWANCES)}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-        """Return an object; None if it is absent and not required."""
+        """Return the bytes of an object; None if it does not exist and need not exist.
+
+        Raise ChunkError if it is a chunk that is missing or damaged.
+        """
         if key in self._handle.layout:
             return prototype.buffer.from_bytes(self._handle.layout[key])
         folder, mark, index = f"/{key}".rpartition("/c")
@@ -86,7 +95,11 @@ class VerifyingStore(BackendStore):
         return data
 
     async def _must_exist(self, array: str, index: str) -> bool:
-        """Return True if the object that is written after a chunk exists."""
+        """Return True if a chunk must exist, since the object that is written after it exists.
+
+        array  path of the array
+        index  end of the chunk's key, its indices
+        """
         above, _, name = array.rpartition("/")
         if above in TABLES:  # single chunks, all of which exist
             return True
@@ -105,7 +118,10 @@ class VerifyingStore(BackendStore):
 
 @contextmanager
 def skip_chunk_reads() -> Iterator[set[tuple[StoreBackend, str]]]:
-    """Read no chunk within the block, as if none existed; yield the set of arrays requested, by backend and path."""
+    """Let no chunk be read within the block, as if none existed.
+
+    Yield a set that collects the arrays from which chunks are requested, by backend and path.
+    """
     requested: set[tuple[StoreBackend, str]] = set()
     token = _asked.set(requested)
     try:
@@ -115,13 +131,13 @@ def skip_chunk_reads() -> Iterator[set[tuple[StoreBackend, str]]]:
 
 
 def _is_whole(data: bytes) -> bool:
-    """Return True if the last bytes of a chunk are the CRC32C of the bytes before."""
+    """Return True if the last four bytes of a chunk are the checksum, CRC32C, of the bytes before."""
     inner, checksum = data[:-_CHECKSUM_BYTES], data[-_CHECKSUM_BYTES:]
     return len(checksum) == _CHECKSUM_BYTES and google_crc32c.value(inner) == int.from_bytes(checksum, "little")
 
 
 def parts_of(metadata: Mapping[str, Any]) -> int:
-    """Return the chunks per shard of an array, from its metadata; 0 without shards."""
+    """Return the number of chunks in each object (shard) of an array, from the array's metadata; 0 without shards."""
     codec: Mapping[str, Any] = next(iter(metadata.get("codecs", ())), {})
     if codec.get("name") != "sharding_indexed":
         return 0
@@ -130,7 +146,9 @@ def parts_of(metadata: Mapping[str, Any]) -> int:
 
 
 def chunk_bytes(metadata: Mapping[str, Any]) -> int:
-    """Return the unpacked size of a chunk of an array, in bytes, from its metadata; 0 if sizes vary, or with shards."""
+    """Return the size, in bytes, of an array's uncompressed chunks, from its metadata; 0 if sizes vary, or with
+    shards.
+    """
     try:
         size = np.dtype(metadata["data_type"]).itemsize
         return 0 if parts_of(metadata) else size * math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"])
@@ -139,7 +157,7 @@ def chunk_bytes(metadata: Mapping[str, Any]) -> int:
 
 
 def unpacked_size(data: bytes) -> int | None:
-    """Return the unpacked size that a Zstandard frame states (RFC 8878, 3.1.1.1); None for anything else."""
+    """Return the uncompressed size that data compressed by Zstandard state (RFC 8878, 3.1.1.1); None for other data."""
     if data[:4] != _FRAME or len(data) < 5:
         return None
     single, dictionary, field = data[4] >> 5 & 1, (0, 1, 2, 4)[data[4] & 3], (0, 2, 4, 8)[data[4] >> 6]
@@ -150,7 +168,7 @@ def unpacked_size(data: bytes) -> int | None:
 
 
 def _is_whole_shard(data: bytes, parts: int) -> bool:
-    """Return True if the chunks of a shard, and the index at its end, have correct checksums."""
+    """Return True if all ``parts`` chunks in a shard, and the index at its end, have correct checksums."""
     size = 16 * parts + _CHECKSUM_BYTES
     index, absent = data[-size:], 2**64 - 1
     if len(index) != size or not _is_whole(index):
@@ -178,5 +196,5 @@ def abandon_reads() -> None:
 
 
 _loops: set[asyncio.AbstractEventLoop] = set()
-"""Event loops in which a read failed; Zarr has one."""
+"""Event loops of Zarr in which a read failed; Zarr has one."""
 atexit.register(abandon_reads)  # registered after Zarr's own function (imported above), so called before it

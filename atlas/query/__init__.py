@@ -1,1 +1,1 @@
-"""Opening an atlas as a dataset, and queries that read it."""
+"""Opening an atlas as an xarray dataset, and queries that read it."""

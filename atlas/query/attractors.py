@@ -1,4 +1,4 @@
-"""Atlases of all attractors: select one attractor of every cell, or list all attractors of one cell."""
+"""Datasets with all attractors of their cells: select one attractor of every cell, or list all of one cell."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 def has_all_attractors(ds: "xr.Dataset") -> bool:
-    """Return True if a dataset has all attractors of its cells."""
+    """Return True if a dataset has all attractors of its cells, along the dimension ``attractor``."""
     return ATTRACTOR in ds.dims
 
 
 def select_dominant(ds: "xr.Dataset") -> "xr.Dataset":
-    """Return the attractor with the largest share in every cell.
+    """Return the dataset with only one attractor in every cell, the attractor that most initial states reach.
 
     A dataset with one attractor per cell is returned unchanged.
     """
@@ -29,10 +29,10 @@ def select_dominant(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def select_attractor(ds: "xr.Dataset", index: float) -> "xr.Dataset":
-    """Return the attractor of rank ``index`` in every cell; rank 0 has the largest share.
+    """Return the dataset with only the attractor of rank ``index`` in every cell.
 
-    Cells with fewer attractors have the regime of a cell without a result. Raise InputError if no cell can have an
-    attractor of that rank.
+    Rank 0 is the attractor that the largest share of the initial states reaches. Cells with fewer attractors have the
+    regime of a cell without a result. Raise InputError if no cell can have an attractor of that rank.
     """
     if not has_all_attractors(ds):
         raise InputError("attractor: this atlas has one attractor per cell; for all, its spec needs [attractors]")
@@ -45,9 +45,10 @@ def select_attractor(ds: "xr.Dataset", index: float) -> "xr.Dataset":
 
 
 def select_own(ds: "xr.Dataset") -> "xr.Dataset":
-    """Select the attractor that each cell's own initial state reaches. The variable ``own_attractor`` is read at once.
+    """Return the dataset with only the attractor, in every cell, that the cell's own initial state reaches.
 
-    Cells whose own attractor was not stored have the regime of a cell without a result.
+    The variable ``own_attractor`` is read at once. Cells whose own attractor was not stored have the regime of a cell
+    without a result.
     """
     rank = ds["own_attractor"][...].load()  # a copy: ``ds`` must not cache it during a run
     selection = ds.drop_vars("own_attractor").isel({ATTRACTOR: rank.clip(0)})
@@ -57,7 +58,7 @@ def select_own(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def branches(ds: "xr.Dataset") -> "xr.Dataset":
-    """Return the branches of an atlas with labelled attractors, by label, as a loaded dataset.
+    """Return the table of the branches of orbits to which an atlas's attractors belong, by label, as a loaded dataset.
 
     Raise InputError if the attractors are not labelled.
     """
@@ -68,19 +69,22 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def list_attractors(cell: "xr.Dataset") -> list[dict[str, Any]]:
-    """Return the attractors of one cell of a dataset; see ``attractors_listed``."""
+    """Return the attractors of one cell as a list of dicts; see ``attractors_listed``.
+
+    ``cell`` is a dataset of one cell.
+    """
     many = [str(name) for name in cell.data_vars if ATTRACTOR in cell[name].dims]
     return attractors_listed({name: cell[name].values for name in ("attractors", *many)}, many)
 
 
 def attractors_listed(cell: Mapping[str, Any], many: Iterable[str]) -> list[dict[str, Any]]:
-    """Return the attractors of one cell as a list of dicts, the largest share first; empty if no initial state is
-    decided.
-
-    Each dict has all values of an attractor by name, with regime and reason in words.
+    """Return the attractors of one cell as a list of dicts, the largest share first.
 
     cell  results of the cell by name
     many  names of the results that are arrays (keep, ...) over the attractors, such as states, spectra and sections
+
+    Each dict has all values of an attractor by name, with regime and reason in words. The list is empty if no initial
+    state is decided.
     """
     names = list(many)
     n_stored = min(int(cell["attractors"]), len(cell[REGIME.name]))
@@ -90,8 +94,10 @@ def attractors_listed(cell: Mapping[str, Any], many: Iterable[str]) -> list[dict
 def attractors_solved(cell: Mapping[str, Any], variables: Iterable[Variable]) -> dict[str, Any]:
     """Return the results of a cell whose attractors were searched, with the list ``coexisting`` of the attractors.
 
-    ``variables`` are those of the cell. Without an attractor, the regime and the reason of the cell's own initial state
-    are added, in words.
+    cell        results of the cell by name
+    variables   variables of the results
+
+    Without an attractor, the regime and the reason of the cell's own initial state are added, in words.
     """
     many = [variable.name for variable in variables if ATTRACTOR in variable.extra_dims]
     results = {name: np.asarray(values).tolist() for name, values in cell.items() if name not in many}
@@ -102,7 +108,7 @@ def attractors_solved(cell: Mapping[str, Any], variables: Iterable[Variable]) ->
 
 
 def attractor_in_words(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of one attractor: regime and reason in words, then its shares, then all others."""
+    """Return the results of one attractor by name: regime and reason in words, then its shares, then all others."""
     first = ("share", "share_low", "share_high")
     ordered = {name: values[name] for name in first if name in values}
     rest = {name: value for name, value in values.items() if name not in (*first, REGIME.name, REASON.name)}

@@ -38,7 +38,7 @@ DISTANCES = (1, 2, 3, 4, 6, 8, 12, 16)
 """Distances, in initial states, at which uncertainty is measured; at most an eighth of the shorter side is used."""
 MIN_DISTANCES = 3
 SATURATED = 0.25
-"""Maximum uncertain share in a fit, relative to that of random labels.
+"""Maximum share of uncertain initial states in a fit, relative to the share for labels drawn at random.
 
 At this share the slope of the power law is an eighth too small.
 """
@@ -47,7 +47,7 @@ Labels = NDArray[np.int64]
 
 
 def is_basin_atlas(ds: "xr.Dataset") -> bool:
-    """Return True if a dataset has the attractor that each initial state of a plane reaches."""
+    """Return True if a dataset is an atlas of basins: initial states, each with the attractor that it reaches."""
     return SETTLED.name in ds
 
 
@@ -119,9 +119,13 @@ def basin_measures(ds: "xr.Dataset", window: Window | None = None) -> "xr.Datase
 def basin_entropy(
     labels: Labels, solved: NDArray[np.bool_], box: int = BOX
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return (S_b, its error) and (S_bb, its error) of labels over a plane or a line.
+    """Return the basin entropies (S_b, its error) and (S_bb, its error) of labels over a plane or a line.
 
-    Boxes with unsolved initial states are left out.
+    labels   labels of the attractors that initial states on a grid reach; negative if unknown
+    solved   mask of the initial states that are solved
+    box      number of initial states along each side of a box
+
+    Boxes with unsolved initial states are left out. The header of this module defines the entropies.
 
     >>> stripes = np.repeat([0, 1], 10)[None, :].repeat(20, axis=0)
     >>> basin_entropy(stripes, stripes >= 0)[0]
@@ -145,9 +149,12 @@ def basin_entropy(
 
 
 def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[float, float, str]:
-    """Return alpha, its error, and the reason why there is none, as defined in the header of this module.
+    """Return the uncertainty exponent alpha, its error, and the reason why there is none.
 
-    With a reason both numbers are NaN; otherwise the reason is empty.
+    labels   labels of the attractors that initial states on a grid reach; negative if unknown
+    solved   mask of the initial states that are solved
+
+    With a reason both numbers are NaN; otherwise the reason is empty. The header of this module defines alpha.
     """
     shares = np.unique(labels[solved], return_counts=True)[1] / max(int(np.count_nonzero(solved)), 1)
     limit = SATURATED * (1.0 - float(np.sum(shares ** (1 + 2 * labels.ndim))))
@@ -172,7 +179,10 @@ def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[flo
 
 
 def _uncertain(labels: Labels, solved: NDArray[np.bool_], e: int) -> tuple[float, int]:
-    """Return the share of initial states that are uncertain at distance ``e``, and the number of states compared."""
+    """Return the share of initial states with another label at distance ``e`` along an axis, and their number.
+
+    The number counts all initial states that were compared.
+    """
     uncertain, counted = np.zeros(labels.shape, dtype=bool), np.zeros(labels.shape, dtype=bool)
     for dim in range(labels.ndim):
         lower_slices = tuple(slice(None, -e) if k == dim else slice(None) for k in range(labels.ndim))
@@ -187,7 +197,7 @@ def _uncertain(labels: Labels, solved: NDArray[np.bool_], e: int) -> tuple[float
 
 
 def _mean(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the mean of values and its standard error."""
+    """Return the mean of values and its standard error; 0 and 0 without values."""
     if not values.size:
         return 0.0, 0.0
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(values.size)) if values.size > 1 else float("nan")

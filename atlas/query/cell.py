@@ -1,4 +1,4 @@
-"""The specification of one cell of an atlas: everything needed to solve the cell again."""
+"""One cell of an atlas: its stored results, and everything needed to solve it again."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CellSpec:
-    """The specification of a cell.
+    """All that is needed to solve a cell again.
 
     system      system of the cell
     parameters  value of each parameter, the initial state included
@@ -34,12 +34,15 @@ class CellSpec:
 
 @dataclass(frozen=True)
 class StoredCell:
-    """A cell of an atlas. In an atlas of all attractors, it has the selected one, by default of the largest share.
+    """A cell of an atlas with its results.
 
     system      system of the cell
     parameters  value of each parameter, the initial state included
     results     results as ``queries.nearest_cell`` returns them
     row         all results as the store has them, read when they are asked for
+
+    In an atlas of all attractors the results are those of the selected attractor, by default of that with the largest
+    share.
     """
 
     system: System
@@ -49,10 +52,10 @@ class StoredCell:
 
     @classmethod
     def nearest(cls, ds: "xr.Dataset", point: Mapping[str, float], who: str = "") -> Self:
-        """Return the cell nearest to a point.
+        """Return the cell of a dataset that is nearest to a point, given by its value on each axis.
 
-        Raise InputError as ``queries.nearest_cell`` does, and, beginning with ``who``, if the dataset lacks the spec of
-        its atlas.
+        Raise InputError as ``queries.nearest_cell`` does. Raise InputError also, with ``who`` before the message, if
+        the dataset lacks the spec of its atlas.
         """
         ds = select_dominant(ds)
         cell, system = nearest_cell(ds, point), system_of(ds.attrs, who)
@@ -62,7 +65,7 @@ class StoredCell:
 
 
 def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
-    """Return the specification of the cell nearest to a point.
+    """Return what is needed to solve again the cell nearest to a point, given by its value on each axis.
 
     In an atlas of all attractors, the initial state lies on the selected attractor, by default the one with the largest
     share. The cell's own initial state may reach another attractor. Raise InputError as ``queries.nearest_cell`` does,

@@ -1,4 +1,7 @@
-"""Iteration over the cells of an atlas in blocks. Cells that tile records describe completely are not read."""
+"""Iteration over the cells of an atlas in blocks, without reading tiles that hold no cell of interest.
+
+The tile records, counts of the cells of each tile by regime, tell what a tile holds.
+"""
 
 import itertools
 from collections.abc import Collection, Iterable, Iterator
@@ -19,16 +22,16 @@ if TYPE_CHECKING:
 
 _MIXED = REGIMES[-1].code + 1
 _NOTHING = _MIXED + 1
-"""Codes of tiles: _MIXED has several or unknown regimes, _NOTHING no requested cell."""
+"""Codes of tiles beyond those of regimes: _MIXED has several or unknown regimes, _NOTHING no requested cell."""
 
 
 @dataclass(frozen=True)
 class CellBlock:
-    """A block of cells of a dataset.
+    """A rectangular block of cells of a dataset.
 
     cells   slices of the block along the dimensions of the dataset
-    regime  regimes of the cells
-    values  requested variables of the cells, by name; empty for a pending tile
+    regime  codes of the regimes of the cells
+    values  requested variables of the cells, by name; empty for a block that is not solved yet (pending)
     """
 
     cells: Slices
@@ -37,12 +40,15 @@ class CellBlock:
 
 
 def iter_cell_blocks(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iterator[CellBlock]:
-    """Yield a CellBlock at a time; together they contain every cell of the regimes ``codes``, with the named variables.
+    """Yield blocks of cells that together contain every cell with one of the regimes ``codes``.
 
-    Blocks may contain other cells too. A block is a rectangular part of the dataset. In a store it is a row of
-    consecutive tiles along the last dimension. Tiles without a requested cell, by their tile records, are not read. Of
-    a tile with a single regime the regimes are not read, and of a pending tile nothing is. A dataset that does not show
-    a store is one block.
+    ds      the dataset
+    names   names of the variables that the blocks have
+    codes   codes of the regimes
+
+    Blocks may contain other cells, too. In a store a block is a row of consecutive tiles along the last dimension.
+    Tiles without a requested cell, by their tile records, are not read. Of a tile with a single regime the regimes are
+    not read, and of a pending tile nothing is. A dataset that does not show a store is one block.
     """
     requested = list(dict.fromkeys(names))
     part = find_part(ds, [REGIME.name, *requested])
@@ -81,7 +87,11 @@ def _walk_part(part: StoreBlock, names: list[str], codes: Collection[int]) -> It
 
 
 def _states(part: StoreBlock, codes: Collection[int]) -> NDArray[np.int64]:
-    """Return for every tile of a store the code of its only regime, _MIXED, or _NOTHING if nothing of it is needed."""
+    """Return for every tile of a store what must be read of it, as a code.
+
+    The code is that of the tile's only regime, _MIXED for several or unknown regimes, or _NOTHING if no cell has one of
+    the regimes ``codes``.
+    """
     known = part.records.known_mask
     counts = part.records.columns(CELLS)
     states = np.where(

@@ -1,4 +1,4 @@
-"""Classes of cells by regime, period of the orbit, or impact pattern."""
+"""Classes of cells: by regime, by period of the orbit, or by impact pattern n-p-q."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -27,9 +27,9 @@ _REGIMES = {regime.name: regime.code for regime in REGIME.codes if regime.code !
 
 
 def parse_class(by: str, value: object = None) -> tuple[str, object]:
-    """Return the result that classifies cells, and the one requested class; None for all classes.
+    """Return the result that classifies cells, and the requested class; None for all classes.
 
-    ``by`` may also be the name of a regime, with no ``value``.
+    ``by`` is "regime", "period" or "impacts", or the name of a regime without a ``value``, which requests this regime.
     """
     check_name("by", by)
     if value is None and by in _REGIMES:
@@ -39,15 +39,15 @@ def parse_class(by: str, value: object = None) -> tuple[str, object]:
 
 
 class CellClassifier:
-    """Assigns a class to cells; classes are numbered from 1 in the order in which they occur.
+    """Assigns classes to cells; classes are numbered from 1 in the order in which they occur. ``by`` is one of:
 
     regime   every regime but pending
     period   period of the orbit in forcing periods, for periodic cells
     impacts  ``n-p-q`` for periodic cells: an orbit of n forcing periods with p impacts at the upper stop and q at the
              lower; "sticks" for all sticking orbits
 
-    ``value`` is the one requested class, None for all. Raise InputError for another ``by``, for a ``value`` that ``by``
-    cannot have, and if the atlas lacks the variables that are needed.
+    ``value`` is the only requested class; None for all. Raise InputError for another ``by``, for a ``value`` that
+    ``by`` cannot have, and if the atlas lacks the variables that are needed.
     """
 
     def __init__(self, ds: "xr.Dataset", by: str, value: object = None) -> None:
@@ -98,7 +98,7 @@ class CellClassifier:
 
 
 def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[np.intp]]:
-    """Return the distinct rows, and the index of the distinct row that equals each row."""
+    """Return the distinct rows of ``keys``, and for each row the index of the distinct row that equals it."""
     if keys.shape[1] == 1:
         distinct, which = np.unique(keys[:, 0], return_inverse=True)
         return [(key,) for key in distinct.tolist()], which
@@ -107,7 +107,7 @@ def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[n
 
 
 def _key_of(by: str, value: object) -> tuple[int, ...]:
-    """Return the key of a class that a user named."""
+    """Return the numbers that identify the class which a user named by ``value``: a code, a period, or n, p and q."""
     if by == REGIME.name:
         check_names("regime", [value], _REGIMES)
         return (_REGIMES[str(value)],)

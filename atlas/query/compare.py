@@ -28,7 +28,7 @@ _FIRST = REGIMES[0].code
 
 @dataclass(frozen=True)
 class ComparisonStats:
-    """A comparison in numbers.
+    """The result of a comparison of two atlases, in numbers.
 
     cells     number of cells of each pair of regimes (first, second), indexed by ``_FIRST + index``
     same      fraction of the area with equal regimes, of the area that is pending in neither atlas; NaN without such
@@ -81,7 +81,10 @@ class Comparison:
         return LARGEST.name in self.first and LARGEST.name in self.second
 
     def planes(self, pixels: tuple[int, int]) -> list[Plane]:
-        """Return both planes with the same cells: overviews for ``pixels`` if both have them, else the cells."""
+        """Return the cells of both atlases as planes with the same cells, for a picture of ``pixels`` (x, y).
+
+        They are overviews, which are coarser, if both atlases have overviews of the same size, else all cells.
+        """
         names = [LARGEST.name] if self.has_exponents else []
         read = [read_view(ds, names, pixels=pixels) for ds in (self.first, self.second)]
         if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
@@ -155,7 +158,7 @@ class Comparison:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what ``atlas compare --json`` prints."""
+        """Return the comparison as the dict that ``atlas compare --json`` prints."""
         names, cells = self.regimes["first"].values.tolist(), self.regimes.values.tolist()
         numbers = self.numbers
         return {
@@ -176,10 +179,10 @@ class Comparison:
         return f"<Comparison of two atlases of {cells} cells{f', {changed}' if changed else ''}>"
 
     def _strips(self) -> Iterator[tuple[int, NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]]:
-        """Yield (first, regimes, other regimes, differences) for one block of rows after another.
+        """Yield blocks of rows of cells, with the regimes in both atlases and the differences of the exponents.
 
-        ``first`` is the index of the first row of the block. The three arrays (rows, ...) are the regimes in the first
-        and in the second atlas, and the differences of the exponents.
+        Each item is the index of the block's first row, and three arrays (rows, ...): the regimes in the first atlas,
+        those in the second, and the exponents of the second minus those of the first.
         """
         regime = self.first[REGIME.name]
         chunk = (regime.encoding.get("chunks") or (1,))[0]
@@ -204,7 +207,7 @@ class Comparison:
 
 
 def differing_parameters(atlases: Sequence["xr.Dataset"]) -> list[str]:
-    """Return the names of the fixed parameters that all atlases have, with values that are not all equal."""
+    """Return the names of the fixed parameters that all atlases have and that are not equal in all."""
     fixed = [str(n) for n in atlases[0].coords if all(n in ds.coords and ds[n].ndim == 0 for ds in atlases)]
     numbers = [n for n in fixed if atlases[0][n].dtype.kind in "iuf"]
     return [n for n in numbers if len({float(ds[n]) for ds in atlases}) > 1]
@@ -213,9 +216,12 @@ def differing_parameters(atlases: Sequence["xr.Dataset"]) -> list[str]:
 def differences(
     first: NDArray[np.int8], second: NDArray[np.int8], one: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return exponents ``other`` minus ``one``, of cells with the regimes ``second`` and ``first``.
+    """Return the exponents of a second atlas minus those of a first, cell by cell.
 
-    The difference is NaN if a class is unknown or an exponent is not finite.
+    first, second   regimes of the cells in both atlases
+    one, other      exponents of the cells in the first and in the second atlas
+
+    The difference is NaN if a class of motion is unknown or an exponent is not finite.
     """
     known = np.isin(first, list(OF_MOTIONS)) & np.isin(second, list(OF_MOTIONS))
     known &= np.isfinite(one) & np.isfinite(other)

@@ -53,7 +53,10 @@ def regions(
 
 
 def flat(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a region as one row, with a column for each axis of its centre, its cell and its box."""
+    """Return a region, a dict of ``regions``, as one row of a table.
+
+    The row has a column for each axis of the region's centre, nearest cell and bounding box.
+    """
     row = {key: entry[key] for key in entry if key not in ("centre", "cell", "box", "cut")}
     for key in ("centre", "cell"):
         row |= {f"{key}_{name}": value for name, value in entry[key].items()}
@@ -65,7 +68,10 @@ def flat(entry: Mapping[str, Any]) -> dict[str, Any]:
 def labels(
     ds: "xr.Dataset", by: str = REGIME.name, value: object = None, window: Window | None = None, min_cells: int = 1
 ) -> "xr.DataArray":
-    """Return for each cell the label, as in ``regions``, of the region that contains the cell; 0 if there is none."""
+    """Return the label of the region that contains each cell, as in ``regions``; 0 if the cell is in no region.
+
+    Arguments and errors are those of ``regions``.
+    """
     import xarray
 
     regions, part = _find(ds, by, value, window, min_cells), select_window(ds, window)
@@ -78,8 +84,9 @@ def labels(
 
 @dataclass(frozen=True)
 class _RegionAxis:
-    """The selected cells along one dimension, in rising order.
+    """The selected cells along one axis of an atlas, in rising order.
 
+    name    name of the axis
     order   indices that sort the cells
     points  coordinates of the cells
     low     lower edge of each cell
@@ -93,13 +100,13 @@ class _RegionAxis:
     high: NDArray[np.float64]
 
     def span(self, cells: slice) -> tuple[float, float]:
-        """Return the outer edges of consecutive cells."""
+        """Return the outer edges of the consecutive cells ``cells``."""
         return float(self.low[cells.start]), float(self.high[cells.stop - 1])
 
 
 @dataclass(frozen=True)
 class _Regions:
-    """Labelled regions of the selected cells.
+    """The connected regions of the selected cells, numbered by labels from 1.
 
     by                 result that classifies the cells
     sides              axes of the regions, by dimension
@@ -117,7 +124,7 @@ class _Regions:
     labels_at_pending: set[int]
 
     def as_given(self) -> NDArray[np.int32]:
-        """Return the labels in the order of the dataset's own axes."""
+        """Return the label of each cell in the order of the dataset's own axes, which may fall."""
         region_labels = np.empty_like(self.labels)
         region_labels[np.ix_(*(side.order for side in self.sides))] = self.labels
         return region_labels
@@ -177,7 +184,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _RegionAxis:
-    """Return a dimension of the selected cells ``part``; the edges are those of the cells in the whole atlas."""
+    """Return the axis ``name`` of the selected cells ``part``, with the cells' edges in the whole atlas ``ds``."""
     points, edges = axis_values(part, name), cell_edges(ds, name)
     order = np.argsort(points)
     index = np.searchsorted(np.sort(axis_values(ds, name)), points[order])
@@ -187,9 +194,12 @@ def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _RegionAxis:
 def label_components(
     numbers: NDArray[np.signedinteger[Any]], classes: list[tuple[int, Any]]
 ) -> tuple[NDArray[np.int32], list[Any]]:
-    """Return the labels of connected sets of equal ``numbers`` above 0, and the value of each set.
+    """Return a label for each connected set of cells with equal numbers above 0, and the class of each set.
 
-    Sets are labelled from 1 in the order of ``classes``: the numbers that occur, with their values.
+    numbers   class number of each cell; 0 for cells without a class
+    classes   the class numbers that occur, with their classes
+
+    The first result is the label of every cell, from 1 in the order of ``classes``; 0 for cells without a class.
     """
     label = np.zeros(numbers.shape, np.int32)
     owners: list[Any] = []
@@ -203,9 +213,9 @@ def label_components(
 
 
 def _strips(label: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[Any]]]:
-    """Yield (labels, indices) of the labelled cells, for one block of rows of a plane after another.
+    """Yield the labelled cells in blocks of rows: their labels (N,), and their index (N,) along every dimension.
 
-    ``labels`` (N,) are those above 0, ``indices`` a list with the index (N,) of each cell along every dimension.
+    ``label`` is the label of every cell; cells with 0 are left out.
     """
     rows = max(1, _CELLS_PER_BLOCK * label.shape[0] // max(1, label.size))
     for first in range(0, label.shape[0], rows):
@@ -216,9 +226,14 @@ def _strips(label: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[
 
 
 def _sums(labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int) -> NDArray[np.float64]:
-    """Return for each label (columns) the area, and for each dimension two sums over its cells.
+    """Return sums over the cells of each region, as an array with one column per region.
 
-    The first sum is area times midpoint, the second is the cell index.
+    The first row is the area. For each dimension two rows follow: the sum of area times midpoint, and of the cell
+    index.
+
+    labels   label of each cell
+    sides    axes by dimension
+    count    number of regions
     """
     sums = np.zeros((1 + 2 * len(sides), count))
     for label, at in _strips(labels):
@@ -234,9 +249,10 @@ def _sums(labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int)
 def _centres(
     labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.intp]]:
-    """Return the area centre of each label along each dimension, and the cell nearest to the mean of its cells.
+    """Return the centre of area of each region along each dimension, and the cell nearest to the mean of its cells.
 
-    Centres are coordinates; the nearest cell is given, and found, by the indices of the cells.
+    Centres are coordinates. The nearest cell is given, and found, by the indices of the cells. Arguments are those of
+    ``_sums``.
     """
     sums = _sums(labels, sides, count)
     cells = np.bincount(labels.ravel(), minlength=count + 1)[1:]
@@ -252,7 +268,7 @@ def _centres(
 
 
 def _beside(label: NDArray[np.int32], pending: NDArray[np.bool_]) -> set[int]:
-    """Return the labels of regions that have a pending neighbour cell."""
+    """Return the labels of regions that have a pending (not yet solved) neighbour cell."""
     neighbours: set[int] = set()
     for axis in range(label.ndim):
         for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):

@@ -68,9 +68,10 @@ def write_table(path: Path, table: "pd.DataFrame") -> None:
 
 
 def write_history(table: "pd.DataFrame", path: Path) -> None:
-    """Write a history as CSV or netCDF (version 3), completely or not at all; the suffix of the path decides.
+    """Write the table of a time history as CSV or netCDF (version 3), completely or not at all.
 
-    Raise InputError for another suffix and for a path that cannot be written.
+    The suffix of the path selects the format. Raise InputError for another suffix and for a path that cannot be
+    written.
     """
     if check_target(path, FORMATS) == ".csv":
         write_table(path, table)
@@ -87,7 +88,7 @@ def _append(file: TextIO, table: "pd.DataFrame", header: bool = True) -> None:
 
 
 def check_target(path: Path, formats: Sequence[str]) -> str:
-    """Return the suffix of a file to write, in lower case; call this before work that may take long.
+    """Return the suffix of a file to write, in lower case. Call this function before work that may take long.
 
     Raise InputError unless ``formats`` has the suffix and the file can be written.
     """
@@ -106,9 +107,9 @@ def check_target(path: Path, formats: Sequence[str]) -> str:
 
 @contextmanager
 def replace_on_success(target: Path) -> Iterator[Path]:
-    """Yield a temporary path to write to, which replaces the target at the end; on an error it is removed.
+    """Yield a temporary path to write to; at the end of the context its file replaces ``target``.
 
-    Raise InputError for a target that cannot be written.
+    After an error the temporary file is removed instead. Raise InputError for a target that cannot be written.
     """
     try:
         with temporary_beside(target, ".") as unfinished:
@@ -143,13 +144,16 @@ def _table(block: "xr.Dataset", names: tuple[str, ...]) -> "pd.DataFrame":
 
 
 def code_names(variable: "xr.DataArray") -> dict[int, str]:
-    """Return the names of the codes of a variable, by code; empty if the variable has numbers."""
+    """Return the names of a variable's codes, by code; empty if the variable has no codes."""
     codes, names = variable.attrs.get("flag_values", ()), variable.attrs.get("flag_meanings", "")
     return dict(zip((int(code) for code in codes), names.split(), strict=True))
 
 
 def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.Dataset"]:
-    """Yield the parts of a dataset, each a dataset of at most ``rows`` rows; a stack is cut plane by plane."""
+    """Yield consecutive parts of a dataset with at most ``rows`` rows each; a stack is cut plane by plane.
+
+    ``dims`` are the dimensions of the cells.
+    """
     along = dims[-2:][0]
     for plane in range(ds.sizes[dims[0]]) if len(dims) > 2 else [None]:
         part = ds if plane is None else ds.isel({dims[0]: slice(plane, plane + 1)})
@@ -158,7 +162,10 @@ def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.
 
 
 def _components(name: str, variable: "xr.DataArray", dims: tuple[str, ...]) -> dict[str, "xr.DataArray"]:
-    """Return a variable by its name, or each component by its own: with its label, or else its number from 1."""
+    """Return the table columns of a variable, by name: the variable itself, or one column for each of its components.
+
+    Components are named by their label, or else by their number from 1. ``dims`` are the dimensions of the cells.
+    """
     inner = next((dim for dim in variable.dims if dim not in dims), None)
     if inner is None:
         return {name: variable}

@@ -1,4 +1,4 @@
-"""The smallest and largest values of a variable, per regime, per period, per impact pattern, or over all cells."""
+"""The smallest and largest values of a variable, for each regime, period or impact pattern, or over all cells."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -72,7 +72,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
 
 
 class _ExtremeTracker:
-    """The smallest and the largest value so far, with the indices of their cells."""
+    """The smallest and the largest value of the cells seen so far, with the indices of their cells."""
 
     def __init__(self) -> None:
         self.cells = 0
@@ -80,7 +80,7 @@ class _ExtremeTracker:
         self.high: tuple[Any, tuple[int, ...]] | None = None
 
     def add(self, block: CellBlock, values: Any, cells: Any) -> None:
-        """Update both extremes with the values of a block: those of the cells that the mask ``cells`` marks."""
+        """Update both extremes with the values of a block of cells; only cells in the mask ``cells`` count."""
         at = np.argwhere(cells)
         self.cells += len(at)
         inside = values[cells]
@@ -96,13 +96,13 @@ class _ExtremeTracker:
                     self.high = value, index
 
     def ends(self) -> list[tuple[str, tuple[tuple[int, ...], Any]]]:
-        """Return both extremes by name, each with the indices of its cell and its value."""
+        """Return both extremes by name, "smallest" and "largest", each with the indices of its cell and its value."""
         assert self.low is not None and self.high is not None
         return [("smallest", self.low[::-1]), ("largest", self.high[::-1])]
 
 
 def variable_of(ds: "xr.Dataset", name: str) -> Variable:
-    """Return the variable with that name: one of the atlas's own system, or one that all atlases have."""
+    """Return the description of the variable ``name``: one of the atlas's own system, or one that all atlases have."""
     system = stored_system(ds.attrs)
     system_variables = system.own_variables if system else ()
     return next((variable for variable in system_variables if variable.name == name), result_named(name))

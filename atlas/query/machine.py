@@ -1,4 +1,4 @@
-"""The machines of the cells of an atlas: their oscillators, gap coordinate and symmetry."""
+"""The machines (mechanical systems at given parameters) of an atlas's cells: their gap coordinate and symmetry."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -18,23 +18,25 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 POINTS_PER_BLOCK = 4096
-"""Number of points whose oscillators are built at a time; a block takes some megabytes."""
+"""Number of parameter points whose machines are built at a time; a block takes some megabytes."""
 
 
 def fixed(ds: "xr.Dataset", system: System) -> dict[str, float]:
-    """Return the parameters with the same value in all cells of an atlas."""
+    """Return the parameters that have one value in all cells of an atlas, by name."""
     return {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
 
 
 def oscillators(
     system: System, same: Mapping[str, float], points: Mapping[str, Array]
 ) -> Iterator[tuple[slice, Oscillator, NDArray[np.bool_]]]:
-    """Yield (slice of points, oscillators, mask of points with an oscillator), for blocks of points of some parameters.
+    """Yield the machines at N parameter points, in blocks of at most POINTS_PER_BLOCK points.
 
-    same    parameters with equal values at all points
-    points  values (N,) of the other parameters
+    system   the system
+    same     parameters with equal values at all points
+    points   values (N,) of the other parameters
 
-    A block has at most POINTS_PER_BLOCK points.
+    Each item is the slice of the points, the record of their machines, and the mask of the points at which a machine
+    exists.
     """
     count = len(next(iter(points.values())))
     for low in range(0, count, POINTS_PER_BLOCK):
@@ -45,7 +47,10 @@ def oscillators(
 
 
 def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """Return the mask of points (N,) at which x(t) -> -x(t + T/2) maps motions to motions."""
+    """Return the mask of points (N,) at which the system has the symmetry x(t) -> -x(t + T/2) with forcing period T.
+
+    There each motion has a mirror image, its twin. Arguments are those of ``oscillators``.
+    """
     twins = np.zeros(len(next(iter(points.values()))), dtype=bool)
     for part, osc, exists in oscillators(system, same, points):
         twins[part] = exists & is_symmetric(osc)
@@ -53,7 +58,7 @@ def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Ar
 
 
 def twins_everywhere(ds: "xr.Dataset", axes: Mapping[str, Array]) -> bool:
-    """Return True if x(t) -> -x(t + T/2) maps motions to motions at all corners of a plane of these axes.
+    """Return True if the system has the symmetry x(t) -> -x(t + T/2) at all corners of a plane with these axes.
 
     The result is False for an atlas with an unknown system.
     """
@@ -62,13 +67,17 @@ def twins_everywhere(ds: "xr.Dataset", axes: Mapping[str, Array]) -> bool:
 
 
 def corners(axes: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the four corners of a plane of two axes, as points (4,) of their parameters."""
+    """Return the four corners of a plane, as values (4,) of the parameters of both axes, by name."""
     ends = np.meshgrid(*(values[[0, -1]] for values in axes.values()))
     return {name: points.ravel() for name, points in zip(axes, ends, strict=True)}
 
 
 def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
-    """Return the gap coordinate y = g . x of physical states (cell, sample, component) along the axis of a sweep.
+    """Return the gap coordinate y = g . x, the displacement that the stops limit, of the states along a sweep.
+
+    ds       the sweep
+    x        name of its axis
+    states   physical states (cell, sample, component)
 
     For an atlas with an unknown system the result is the first component.
     """
@@ -83,7 +92,10 @@ def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
 
 
 def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:
-    """Return the rows g (N, n) of the gap coordinate y = g . x, for parameters that are numbers or have N values."""
+    """Return the coefficients g (N, n) of the gap coordinate y = g . x, the displacement that the stops limit.
+
+    ``values`` are parameters by name, each a number or N values.
+    """
     count = max(np.size(value) for value in values.values())
     parameters = {
         name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()

@@ -1,4 +1,4 @@
-"""Names of motions n-p-q: forcing periods, and impacts at the upper and at the lower stop."""
+"""Names n-p-q of periodic motions: n forcing periods, p impacts at the upper and q at the lower stop."""
 
 from typing import NamedTuple
 
@@ -23,16 +23,19 @@ class MotionName(NamedTuple):
 
     @property
     def label(self) -> str:
-        """The name in a legend."""
+        """The name as a legend shows it."""
         return motion_name(*self) if self.p >= 0 else "periodic, sticks"
 
 
 STICKS = MotionName(0, -1, -1)
-"""All sticking motions."""
+"""The name that all sticking motions share."""
 
 
 def motion_keys(period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return n, p and q (..., 3) of cells with a period; those of STICKS if impacts are infinitely many."""
+    """Return n, p and q (..., 3) of periodic cells; those of STICKS for sticking cells.
+
+    Sticking motions have infinitely many impacts.
+    """
     keys = np.stack([period, upper, lower], axis=-1).astype(np.int64)
     keys[(keys[..., 1:] < 0).any(axis=-1)] = STICKS
     return keys
@@ -41,7 +44,10 @@ def motion_keys(period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDAr
 def motions(
     regime: NDArray[np.int8], period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]
 ) -> tuple[list[MotionName], NDArray[np.intp]]:
-    """Return the motions of periodic cells in rising order, and the index of each cell's motion; -1 if it has none."""
+    """Return the names of the motions that periodic cells have, in rising order, and the index of each cell's motion.
+
+    The index is -1 for cells that are not periodic.
+    """
     counted = (regime == PERIODIC) & (period >= 1)
     kinds, which = np.unique(motion_keys(period, upper, lower)[counted], axis=0, return_inverse=True)
     number = np.full(regime.shape, -1)

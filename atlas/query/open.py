@@ -1,4 +1,4 @@
-"""Opening a store as a dataset."""
+"""Opening the store of an atlas as an xarray dataset, and finding the store of a dataset."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 
 SOURCE, _RUN_ID = "source", "run_id"
-"""Encoding keys of the name of a dataset's store and of the run that created the store."""
+"""Keys, in a dataset's encoding, of the name of its store and of the identifier of the run that created the store."""
 _opened: dict[tuple[str, str | None], AtlasStore] = {}
-"""Handles of the stores that this process opened as datasets, by these two, the least recently opened first.
+"""Handles of the stores that this process opened as datasets, by name and run, the least recently opened first.
 
 A handle has what was read of the store when the dataset was opened, and the access to the store.
 """
 MAX_OPENED = 64
-"""Maximum number of these handles; the store of an older dataset is opened again by its name."""
+"""Maximum number of handles that are kept; the store of an older dataset is opened again by its name."""
 LAYERS = "layers"
-"""Encoding key of the layers of each Dask array's graph, by variable, when the dataset was opened."""
+"""Key, in a dataset's encoding, of the layers that each Dask array's graph had when the dataset was opened."""
 Chunks = int | str | Mapping[Any, Any] | None
 """Dask chunks as ``xarray.open_dataset`` takes them; None for no Dask arrays."""
 
@@ -59,7 +59,7 @@ def open_atlas(
 
 
 def attach_store(ds: "xarray.Dataset", handle: AtlasStore) -> None:
-    """Record in a dataset the store that it shows, by its name: ``handle_of`` finds the handle."""
+    """Record in a dataset the name of the store that it shows, so that ``handle_of`` finds the store's handle."""
     name, run_id = str(handle.backend), handle.run_id
     _opened.pop((name, run_id), None)
     _opened[name, run_id] = handle
@@ -88,9 +88,9 @@ def handle_of(ds: "xarray.Dataset") -> AtlasStore:
 
 
 def open_table(handle: AtlasStore, table: str) -> "xarray.Dataset":
-    """Return a table of the store as a dataset that reads on demand.
+    """Return a table of the store, such as that of the labelled attractors, as a dataset that reads on demand.
 
-    Raise ChunkError if its metadata are damaged. Reading a missing or damaged chunk raises ChunkError too.
+    Raise ChunkError if its metadata are damaged. Reading a missing or damaged chunk raises ChunkError, too.
     """
     import xarray
 

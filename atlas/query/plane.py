@@ -1,4 +1,4 @@
-"""The cells of a plane as arrays (y, x) with both axes rising, and the meaning of the axes."""
+"""A plane of an atlas: its cells as arrays (y, x) with both axes rising, and the meaning of the axes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ _STEPS = 400
 
 
 class CoordinateInfo(NamedTuple):
-    """The meaning of a coordinate: description, symbol as mathtext, CF unit; each empty if unknown."""
+    """The meaning of a coordinate: words, symbol as mathtext, and unit in CF spelling; each is empty if unknown."""
 
     words: str
     symbol: str
@@ -31,7 +31,7 @@ class CoordinateInfo(NamedTuple):
 
     @classmethod
     def from_dataset(cls, ds: "xr.Dataset", name: str) -> "CoordinateInfo":
-        """Return the meaning from the coordinate's attributes; missing attributes are taken from the atlas's system."""
+        """Return the meaning of a dataset's coordinate from its attributes, or else from the atlas's system."""
         system, metadata = stored_system(ds.attrs), ds[name].attrs
         known = next((p for p in system.parameters if p.name == name), None) if system else None
         names = (("long_name", "meaning"), ("symbol", "symbol"), ("units", "unit"))
@@ -61,10 +61,10 @@ class PlaneAxis:
         return not self.log and is_uniform(self.values)
 
     def even(self, count: int | None = None) -> "tuple[PlaneAxis, NDArray[np.intp]]":
-        """Return the axis in ``count`` steps that are drawn with equal width, and the index of the cell at each step's
-        centre.
+        """Return the axis in steps that are drawn with equal width, and the index of the cell at each step's centre.
 
-        By default the steps are the cells if they are uniform, and otherwise at least _STEPS.
+        By default the steps are the cells if they are uniform, and otherwise at least _STEPS. ``count`` is their
+        number.
         """
         scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
         cuts, n_cells = scale(self.edges), self.values.size
@@ -77,7 +77,7 @@ class PlaneAxis:
 
 
 def sort_axes(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
-    """Return the dataset with every axis in rising order, and its axes, x first."""
+    """Return the dataset sorted so that every axis rises, and its axes, x first."""
     names, axes = axis_names(ds), []
     for name in names:
         if np.any(np.diff(ds[name].values) <= 0):
@@ -90,7 +90,7 @@ def sort_axes(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
 
 
 def determined(regime: NDArray[np.int8]) -> Cells:
-    """Return the mask of cells with a known class of motion."""
+    """Return the mask of cells whose class of motion is known, such as periodic or chaotic."""
     return np.isin(regime, [*OF_MOTIONS, APERIODIC])
 
 
@@ -120,11 +120,12 @@ class Plane:
 
     @property
     def determined_mask(self) -> Cells:
-        """The mask of cells with a known class of motion. All other cells have averages that must not be shown as
-        results.
+        """The mask of cells whose class of motion is known.
+
+        All other cells have averages that must not be shown as results.
         """
         return determined(self.regime)
 
     def known_values(self, name: str) -> Array:
-        """Return the values of a variable where the class of motion is known, NaN elsewhere."""
+        """Return the values of a variable in cells whose class of motion is known; NaN in other cells."""
         return np.where(self.determined_mask, self[name], np.nan)

@@ -183,10 +183,10 @@ def count_reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, i
 
 
 def laws(ds: "xr.Dataset", window: Window | None = None) -> dict[str, LawUse]:
-    """Return how far the machine's laws that are expressions were used by the cells of a window, by element.
+    """Return how far the force laws of a machine were used by the motions in a window, by element of the machine.
 
-    Windows and errors are as in ``fractions``. Only the variables with this information are read; none if no law is an
-    expression.
+    Only laws that a definition gives as expressions count. Windows and errors are as in ``fractions``. Only the
+    variables with this information are read; none if no law is an expression.
     """
     system, part = stored_system(ds.attrs), select_window(ds, window)
     names = [name for name in (law_names(system) if system else ()) if name in ds]
@@ -196,7 +196,7 @@ def laws(ds: "xr.Dataset", window: Window | None = None) -> dict[str, LawUse]:
 
 
 def is_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.DataArray":
-    """Return True for the cells, or attractors of cells, with one of these regimes.
+    """Return the mask of the cells, or attractors of cells, that have one of these regimes, given by name.
 
     Raise InputError for an unknown name of a regime.
     """
@@ -204,7 +204,7 @@ def is_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.DataArray":
 
 
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
-    """Return the atlas with the results of all other regimes set to NaN; ``regime`` itself is unchanged.
+    """Return the atlas with results only in cells of these regimes, and NaN in others; ``regime`` itself is unchanged.
 
     Integers and flags become floats, since they have no missing value. The masked variables are loaded: select
     variables and a window first if the atlas is large.
@@ -227,9 +227,10 @@ def boundary(ds: "xr.Dataset", regime: str, other: str | None = None, window: Wi
     other   the regime on the other side
 
     The lines are contours half way between neighbouring cells, in the units of the axes, known to half a cell. If
-    ``other`` is given, cells of third regimes bound nothing; pending cells never do. Closed lines end at their first
-    point. In windows of more than BOUNDARY_CELLS cells per side, lines are traced on the overview next in size. Raise
-    InputError for an unknown regime or axis, for a window without a cell, and for an atlas without exactly two axes.
+    ``other`` is given, only borders between the two regimes are traced. Borders with pending cells never are. Closed
+    lines end at their first point. In windows of more than BOUNDARY_CELLS cells per side, lines are traced on the
+    overview next in size. Raise InputError for an unknown regime or axis, for a window without a cell, and for an atlas
+    without exactly two axes.
     """
     import contourpy
     import pandas as pd
@@ -261,7 +262,11 @@ def boundary(ds: "xr.Dataset", regime: str, other: str | None = None, window: Wi
 
 
 def _beyond(codes: NDArray[np.integer[Any]], code: int, line: NDArray[np.float64]) -> list[str]:
-    """Return the regime on the other side of a border of ``code`` at points (N, 2) in cell indices (x, y).
+    """Return the names of the regimes on the other side of a border at N points along it.
+
+    codes   regimes of the cells; pending for cells that bound nothing
+    code    regime on this side of the border
+    line    points (N, 2) in cell indices (x, y)
 
     A point lies between two cells of an edge or of a diagonal. Of the two diagonals, that with a border counts.
     """
@@ -275,10 +280,10 @@ def _beyond(codes: NDArray[np.integer[Any]], code: int, line: NDArray[np.float64
 def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
     """Return the atlas with its exponents, and variables of their unit, per unit time instead of per forcing period.
 
-    lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or a multiple of it if the force has
-    orders that are ratios. The variables largest, error, spectrum and sum_law_defect are loaded and changed; their
-    ``long_name`` has the new unit. Raise InputError if they are per unit time already, or if the forcing frequency is
-    unknown.
+    lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or a multiple of it if orders of the
+    force's harmonics are ratios of whole numbers. The variables largest, error, spectrum and sum_law_defect are loaded
+    and changed; their ``long_name`` has the new unit. Raise InputError if they are per unit time already, or if the
+    forcing frequency is unknown.
     """
     present = [name for name in _EXPONENTS if name in ds]
     if any(rate_of(ds[name]) == PER_TIME for name in present):
@@ -294,7 +299,7 @@ def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def rate_of(exponents: "xr.DataArray") -> str:
-    """Return PER_TIME or PER_PERIOD, the unit of time of exponents; they are stored per forcing period."""
+    """Return the unit of time of exponents, PER_PERIOD as they are stored or PER_TIME if they were converted."""
     return PER_TIME if PER_TIME in str(exponents.attrs.get("long_name", "")) else PER_PERIOD
 
 
@@ -315,7 +320,12 @@ def _frequency(ds: "xr.Dataset") -> str:
 def _areas_of_cells(
     selection: "xr.Dataset", ds: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]
 ) -> dict[int, float]:
-    """Return the area of each regime from the cells of ``selection``, with the cell widths of ``ds``."""
+    """Return the total area of the cells of each regime, by code.
+
+    selection   the cells, part of ``ds``
+    ds          the atlas, which gives the cell widths
+    cells       indices of the cells along each axis
+    """
     names = axis_names(ds)
     widths = {name: cell_widths(ds, name)[cells[name]] for name in names}
     codes = selection[REGIME.name].values

@@ -1,4 +1,4 @@
-"""Counting the reads of an atlas: number of chunks, and the level of the cells that were read."""
+"""Counting what is read of an atlas: the number of chunks, and the resolution of the cells."""
 
 import math
 from collections.abc import Iterator
@@ -11,10 +11,10 @@ from atlas.formatting import plural
 
 @dataclass
 class ReadCounter:
-    """The reads of chunks inside a ``with count_chunk_reads()`` block.
+    """What was read of atlases inside a ``with count_chunk_reads()`` block.
 
     chunks  number of chunks found and read
-    level   coarsest level that a view was read from; level 0 are the cells
+    level   coarsest overview level that was read; level 0 are the cells
     block   number of cells (x, y) of the atlas per cell of the coarsest view
     """
 
@@ -29,7 +29,7 @@ class ReadCounter:
         return f"{plural(self.chunks, 'chunk')} read from the store, at reduced resolution: one value for {block} cells"
 
     def add(self, chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
-        """Add reads to the counter."""
+        """Add a number of chunks, and note the level and the block size of what was read."""
         self.chunks, self.level = self.chunks + chunks, max(self.level, level)
         self.block = max(self.block, block, key=math.prod)
 
@@ -51,7 +51,12 @@ def count_chunk_reads() -> Iterator[ReadCounter]:
 
 
 def count_reads(chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
-    """Add reads to the counter of the surrounding ``with count_chunk_reads()`` block, if there is one."""
+    """Add chunks to the counter of the surrounding ``with count_chunk_reads()`` block, if there is one.
+
+    chunks   number of chunks read
+    level    overview level that was read; level 0 are the cells
+    block    number of cells (x, y) of the atlas per cell of that level
+    """
     reads = _reads.get()
     if reads is not None:
         reads.add(chunks, level, block)

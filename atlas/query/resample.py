@@ -1,7 +1,7 @@
-"""Reading cells for pictures and queries, at the level that matches the pixels.
+"""Reading cells for pictures and queries, at the overview level that matches the pixels.
 
-``view`` returns a loaded dataset like that of ``atlas.open``, coarsened where cells are finer than pixels. Data that do
-not come unmodified from a store (computed, changed or concatenated) are returned as they are.
+``read_view`` returns a loaded dataset like that of ``atlas.open``, coarsened where cells are finer than pixels. Data
+that do not come unmodified from a store (computed, changed or concatenated) are returned as they are.
 """
 
 import math
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _EXPONENTS = (LARGEST.name, ERROR.name, SUM_LAW_DEFECT.name)
 _WITHOUT = (PENDING, UNDETERMINED, INVALID, FAILED)
-"""Regimes without an exponent."""
+"""Regimes whose cells have no exponent."""
 
 
 def read_view(
@@ -52,7 +52,7 @@ def read_view(
     pixels: Sequence[int] | None = None,
     marks: bool = True,
 ) -> "xr.Dataset":
-    """Return the named variables and the regimes of an atlas in a window, at the level that matches the pixels.
+    """Return variables and regimes of an atlas in a window, coarsened to about one cell per pixel.
 
     names   names of the variables
     window  window; None for all cells
@@ -60,10 +60,11 @@ def read_view(
     marks   True if coarse cells show ``regime_shown``, and no exponent, period or result that their regime lacks; False
             for the most frequent regime
 
-    The level is the finest whose widest cell is not finer than a pixel. The result is an atlas with the same names,
-    dimensions and attributes, and ``encoding["level"]`` is its level. At coarser levels the axes have CF bounds that
-    end at those of the window; ``overview.coarsen`` defines the values of coarse cells. Variables without overviews are
-    read cell by cell. Raise InputError for an unknown axis, and for a window without a cell.
+    The cells are read at a level of the store's overviews, copies with ever fewer cells. The level is the finest whose
+    widest cell is not finer than a pixel. The result is an atlas with the same names, dimensions and attributes, and
+    ``encoding["level"]`` is its level. At coarser levels the axes have CF bounds that end at those of the window;
+    ``overview.coarsen`` defines the values of coarse cells. Variables without overviews are read cell by cell. Raise
+    InputError for an unknown axis, and for a window without a cell.
     """
     ds = select_window(ds, window)
     requested = list(dict.fromkeys([*names, REGIME.name]))
@@ -83,9 +84,10 @@ def read_view(
 
 
 def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
-    """Return how many times each dimension is halved until its widest cell is not finer than a pixel.
+    """Return how often the number of cells along each dimension is halved for a picture of ``pixels`` (x, y).
 
-    A quarter of a halving is tolerated: 1.19 cells per pixel are better than 0.6.
+    The widest cell is then not finer than a pixel. A quarter of a halving is tolerated: 1.19 cells per pixel are better
+    than 0.6.
     """
     steps = []
     for name, size in zip(axis_names(ds), pixels, strict=False):
@@ -129,11 +131,15 @@ def _coarse(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str], steps: lis
 
 
 def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
-    """Return variables of a block, with each dimension halved ``steps`` times, and the cell indices of the coarse
-    edges.
+    """Return variables of a block of cells, coarsened, and the cell indices of the coarse cells' edges.
 
-    Halvings common to all dimensions are read as a level. A plane that is long and narrow in pixels is halved further
-    along one dimension, a block of rows at a time. So is a plane with fewer pixels than the last level has cells.
+    part    the block
+    names   names of the variables
+    steps   number of times that each dimension is halved
+
+    Halvings common to all dimensions are read as a level of the overviews. A plane that is long and narrow in pixels is
+    halved further along one dimension, a block of rows at a time. So is a plane with fewer pixels than the last level
+    has cells.
     """
     coarse_start = part.pyramid.levels.n_uncoarsened
     level = min(*steps[coarse_start:], part.pyramid.levels.count)
@@ -162,7 +168,7 @@ def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> 
 
 
 def _blank(cells: Cells) -> None:
-    """Set to missing, in place, the values of coarse cells that the regime of the coarse cell does not have."""
+    """Remove, in place, values of coarse cells that are no results of the coarse cell's regime, such as its period."""
     regime = cells[REGIME.name]
     for name in cells.keys() - {REGIME.name, REGIME_SHOWN.name, SHARE.name}:
         if name in CLASSES:

@@ -1,6 +1,7 @@
-"""The block of a store behind a dataset, and reading it at any overview level.
+"""The block of a store that a dataset shows, and reading it at any level of the overviews.
 
-Queries and pictures read overviews instead of cells wherever a dataset is still an unmodified selection of a store.
+Overviews are copies of the cells at ever lower resolution. Queries and pictures read them instead of cells wherever a
+dataset is still an unmodified selection of a store.
 """
 
 import itertools
@@ -27,14 +28,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 PENDING_SHARE = CODES.tolist().index(PENDING)
-"""Index of pending cells among the shares of the regimes."""
+"""Index of the regime pending among the shares of the regimes in a coarse cell."""
 
 
 def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "StoreBlock | None":
     """Return the block of a store that a dataset shows.
 
-    Return None unless each named variable is unchanged since ``atlas.open``. Selections of consecutive cells qualify;
-    computed, modified, loaded or concatenated variables do not.
+    Return None if one of the named variables is not as ``atlas.open`` returned it. Selections of consecutive cells
+    qualify; computed, modified, loaded or concatenated variables do not.
     """
     try:
         handle = handle_of(ds)
@@ -52,7 +53,7 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "StoreBlock | None":
 
 
 def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
-    """Return the slice of consecutive ``values`` among all values of an axis; None if they are not consecutive."""
+    """Return the slice that ``values`` take among all values ``full`` of an axis; None if they are not consecutive."""
     first = int(np.searchsorted(full, values[0])) if values.size else full.size
     section = full[first : first + values.size]
     return slice(first, first + values.size) if values.size and np.array_equal(section, values) else None
@@ -81,7 +82,10 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
 
 
 def _is_selected(array: Any, opened: list[str] | None) -> bool:
-    """Return True if a Dask array is the one whose graph had the layers ``opened``, or a selection of it."""
+    """Return True if a Dask array is a stored array as it was opened, or a selection of it.
+
+    ``opened`` are the layers of the graph that the array had when it was opened.
+    """
     layers = set(array.dask.layers)
     if opened is None or not layers.issuperset(opened):
         return False
@@ -90,15 +94,16 @@ def _is_selected(array: Any, opened: list[str] | None) -> bool:
 
 @dataclass(frozen=True)
 class StoreBlock:
-    """A block of cells of a store, and how to read it at each level.
-
-    A ``piece`` is a block of cells of one level; level 0 are the cells themselves.
+    """A block of cells of a store, and how to read it at each level of the overviews.
 
     handle           handle of the store
     cells            slices of the block along the dimensions of the store
     pyramid          the store's overviews
     drops_stack_dim  True if the dataset is one plane of a stack and lacks the stack dimension, which the block has
     chunks_before    number of chunks that the pyramid had read when the block was found
+
+    Level 0 are the cells themselves; each further level halves their number along the dimensions. A ``piece`` is a
+    rectangular part of the cells of one level, given by slices.
     """
 
     handle: AtlasStore
@@ -113,31 +118,31 @@ class StoreBlock:
         return self.pyramid.chunks_read - self.chunks_before
 
     def as_given(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return an array over the cells of the block with the dimensions of the dataset in place of the store's."""
+        """Return an array over the cells of the block, with the dataset's dimensions instead of the store's."""
         return values[0] if self.drops_stack_dim else values
 
     @property
     def axes(self) -> tuple[tuple[Axis, slice], ...]:
-        """The axes of the dataset by its dimensions, with the cells of the block along each."""
+        """The axes of the dataset, in the order of its dimensions, with the slice of the block's cells along each."""
         axes = zip(reversed(self.handle.spec.axes), self.cells, strict=True)
         return tuple(axes)[1 if self.drops_stack_dim else 0 :]
 
     @cached_property
     def records(self) -> TileRecords:
-        """The records of the store's tiles."""
+        """The tile records of the store: digest and counts of each tile."""
         return TileRecords(self.handle)
 
     @property
     def finished_mask(self) -> NDArray[np.bool_]:
-        """The mask of finished tiles, as an array over the tiles of the store."""
+        """The mask of the store's tiles that are solved and written."""
         return self.records.finished_mask
 
     def required_variables(self, names: Iterable[str]) -> list[str]:
-        """Return all variables that are needed to coarsen these."""
+        """Return the names of all variables that are needed to compute coarser values of the variables ``names``."""
         return required_variables(self.pyramid.variables, names)
 
     def undone(self, level: int, piece: Slices) -> list[tuple[int, ...]]:
-        """Return the indices of the unfinished tiles below a piece of a level."""
+        """Return the indices of the unfinished tiles from which cells of a piece of a level are computed."""
         tiles = self.pyramid.levels.tiles_below(level, piece)
         return [
             tuple(s.start + i for s, i in zip(tiles, at, strict=True))
@@ -145,7 +150,7 @@ class StoreBlock:
         ]
 
     def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
-        """Read variables of a piece of a level; ``names`` must contain a regime.
+        """Read variables of a piece, a part of the cells of a level, by name; ``names`` must contain a regime.
 
         Chunks of an overview that are missing, damaged or older than their tiles are recomputed from the level below,
         down to the cells. Cells of unfinished tiles are pending. Raise ChunkError if a chunk of the cells themselves is
@@ -166,9 +171,10 @@ class StoreBlock:
         return arrays
 
     def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
-        """Return stored variables of a piece of a level, by name, and the slices of its parts that must not be used.
+        """Return stored variables of a piece, a part of the cells of a level, and the slices that must not be used.
 
-        Such a part is missing, damaged or older than the tiles below it.
+        Variables are given by name. A slice must not be used if its data are missing, damaged or older than the tiles
+        below it.
         """
         blocks = list(self._blocks(level, piece))
         if not self.pyramid.exists:
@@ -186,9 +192,10 @@ class StoreBlock:
     def _read_each(
         self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]
     ) -> tuple[Cells, list[Slices]]:
-        """Return what ``read_stored`` returns, for a piece with a damaged chunk.
+        """Return the stored variables of a piece with a damaged chunk, and the slices that must not be used.
 
-        The part of the piece in each chunk is read alone, which finds the damaged one.
+        Arguments and results are those of ``read_stored``. ``blocks`` are the parts of the piece in each chunk. Each is
+        read by itself, which finds the damaged ones.
         """
         arrays, missing = self._pending(piece, names), blocks
         if len(blocks) > 1:
@@ -201,20 +208,20 @@ class StoreBlock:
         return arrays, missing
 
     def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
-        """Read variables of a piece of level 0, the stored cells themselves. Return them by name."""
+        """Read variables of stored cells, which are level 0, by name; ``piece`` are the slices of the cells."""
         stored = {variable.name for variable in self.handle.variables}
         base = stored & {*names, *(name.removesuffix("_count") for name in names), REGIME.name}
         return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, names)
 
     def _compute(self, level: int, piece: Slices, names: list[str]) -> Cells:
-        """Compute variables of a piece of a level from the level below."""
+        """Compute variables of a piece, a part of the cells of a level, from the finer level below, by name."""
         finer = self.pyramid.levels.finer(level, piece)
         widths = tuple(w[f] for w, f in zip(self.pyramid.widths[level - 1], finer, strict=True))
         below = self.read(level - 1, finer, self.required_variables(names))
         return coarsen(below, widths, self.pyramid.levels.coarsened)
 
     def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:
-        """Return variables of a piece of a level whose cells are all pending."""
+        """Return variables for a piece, a part of the cells of a level, none of which is solved yet."""
         requested, arrays = set(names), {}
         for variable in self.pyramid.variables:
             if variable.name in requested:
@@ -223,12 +230,15 @@ class StoreBlock:
         return arrays
 
     def _is_current(self, level: int, block: Slices, marks: NDArray[Any]) -> bool:
-        """Return True if the overview has all of a block, and every tile below the block is still finished."""
+        """Return True if an overview has all cells of a block, and every tile below the block is still finished.
+
+        ``marks`` are the regimes of the block's cells; a cell that is not written has the regime pending.
+        """
         tiles = self.pyramid.levels.tiles_below(level, block)
         return not (marks == PENDING).any() and bool(self.finished_mask[tiles].all())
 
     def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
-        """Yield the parts of a piece, one for each chunk that it overlaps, as slices of cells of the level."""
+        """Yield the parts of a piece, one for each stored chunk that the piece overlaps, as slices of cells."""
         along = []
         for p, c in zip(piece, self.pyramid.levels.chunk, strict=True):
             cuts = [p.start, *range((p.start // c + 1) * c, p.stop, c), p.stop]
@@ -237,5 +247,5 @@ class StoreBlock:
 
 
 def relative_slices(piece: Slices, block: Slices) -> Slices:
-    """Return a block of a piece as slices relative to the first cell of the piece."""
+    """Return the slices of ``block``, a part of ``piece``, counted from the first cell of the piece."""
     return tuple(slice(b.start - p.start, b.stop - p.start) for p, b in zip(piece, block, strict=True))

@@ -1,4 +1,4 @@
-"""Totals over a block of cells: the area of each regime, and the number of cells by reason."""
+"""Exact totals over a block of an atlas's cells: the area of each regime, and the number of cells by reason."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,24 +18,24 @@ from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 @dataclass(frozen=True)
 class StoreTotals:
-    """The exact totals of a block of a store, from as few chunks as possible.
+    """The exact totals of a block of cells of a store, from as few chunks as possible.
 
-    The inside of the block is read at the coarsest level that fits, its border at ever finer levels. Without overviews,
-    whole tiles are taken from their tile records.
+    The inside of the block is read at the coarsest level of the overviews that fits, its border at ever finer levels.
+    Without overviews, whole tiles are taken from their tile records, which hold counts and areas by regime.
     """
 
     part: StoreBlock
 
     def areas(self) -> dict[int, float]:
-        """Return the area of each regime by code, with cells weighted by their widths."""
+        """Return the area of the block's cells of each regime, by code; cells count with their widths."""
         total = sum((self._areas(level, piece) for level, piece in self._pieces()), np.zeros(CODES.size))
         return dict(zip(CODES.tolist(), total.tolist(), strict=True))
 
     def reasons(self) -> NDArray[np.int64]:
-        """Return the number of cells by reason, in the order of REASONS.
+        """Return the number of the block's cells for each reason of a missing or uncertain result.
 
-        Reasons are read only from tiles that are cut by the border of the block or lack a tile record. A tile is not
-        read either if its record counts no reason.
+        Their order is that of REASONS. Reasons are read only from tiles that are cut by the border of the block or lack
+        a tile record. Tiles whose record counts no reason are not read either.
         """
         levels, cells = self.part.pyramid.levels, self.part.cells
         within, below = np.zeros((2, *self.part.handle.tiling.grid), dtype=bool)
@@ -56,13 +56,16 @@ class StoreTotals:
 
     @cached_property
     def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
-        """Areas of tiles by regime, and the mask of tiles where they are known. Unfinished tiles are all pending."""
+        """The area of each regime in every tile, by the tile records, and the mask of tiles with known areas.
+
+        Unfinished tiles count as pending as a whole.
+        """
         areas, pending = self.part.records.columns(AREAS).copy(), ~self.part.finished_mask
         areas[pending, PENDING_SHARE] = _tile_areas(self.part.handle)[pending]
         return areas, self.part.records.known_mask | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
-        """Yield (level, slices) of pieces that together are the block, each of whole cells of a level.
+        """Yield pieces that together are the block, as pairs of a level and slices of whole cells of this level.
 
         The level is as coarse as possible. Level 0 are the cells; each further level has half as many along every
         dimension.
@@ -77,7 +80,7 @@ class StoreTotals:
                 inner = levels.finer(level, outer) if level else None
 
     def _areas(self, level: int, piece: Slices) -> NDArray[np.float64]:
-        """Return the area of each regime in a piece, in the order of CODES.
+        """Return the area of each regime in a piece, a rectangular part of the cells of a level, in the order of CODES.
 
         Missing parts of an overview are taken from tile records, or from the level below, down to the cells.
         """
@@ -95,7 +98,10 @@ class StoreTotals:
         return total
 
     def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:
-        """Return the areas in a piece of level 0; whole tiles are taken from their tile records, if they have one."""
+        """Return the area of each regime in a part of the stored cells, in the order of CODES.
+
+        Whole tiles are taken from their tile records, if they have one.
+        """
         levels = self.part.pyramid.levels
         tiles = levels.tiles_within(0, piece)
         if any(s.start >= s.stop for s in tiles) or not self._recorded[1][tiles].any():
@@ -109,7 +115,7 @@ class StoreTotals:
         return total
 
     def _added(self, tiles: Slices) -> NDArray[np.float64]:
-        """Return the sum of the areas by regime, in the order of CODES, over the ``tiles`` that have a record."""
+        """Return the area of each regime, in the order of CODES, summed over the ``tiles`` with a tile record."""
         areas, known = self._recorded
         return np.asarray(areas[tiles][known[tiles]].sum(axis=0))
 
@@ -117,19 +123,22 @@ class StoreTotals:
         return self._weighed(0, piece, self.part.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])
 
     def _weighed(self, level: int, piece: Slices, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the area of each regime in a piece, in the order of CODES, from its share of each cell."""
+        """Return the area of each regime in a piece, a rectangular part of the cells of a level, in the order of CODES.
+
+        ``share`` is the share of each regime in each cell.
+        """
         for width, p in zip(self.part.pyramid.widths[level], piece, strict=True):
             share = np.tensordot(width[p], share, axes=1)
         return np.asarray(share)
 
 
 def _one(index: list[int]) -> Slices:
-    """Return the tile of an index as slices over the tiles."""
+    """Return the index of a single tile as slices over the tiles of a store."""
     return tuple(slice(i, i + 1) for i in index)
 
 
 def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
-    """Yield boxes that together cover the outer box without the inner one, each as slices along all dimensions."""
+    """Yield boxes that together cover the box ``outer`` without the box ``inner``, as slices along all dimensions."""
     if inner is None:
         yield outer
         return
@@ -140,7 +149,7 @@ def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
 
 
 def _tile_areas(handle: AtlasStore) -> NDArray[np.float64]:
-    """Return the area of every tile in the units of its record, as an array over the tiles."""
+    """Return the area of every tile in the units that tile records use, as an array over the tiles."""
     widths = zip(widths_along(handle.spec), handle.tile, strict=True)
     along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)
     return np.asarray(reduce(np.multiply.outer, along))

@@ -1,4 +1,4 @@
-"""The axes of an open atlas, the cells along them, and selection by windows."""
+"""The axes of an open atlas, the cells along them, and selection of cells by windows."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -25,10 +25,10 @@ LOG_SPAN = 4.0
 
 
 def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
-    """Return the names of an atlas's axes, x first; for a table of points ``point``.
+    """Return the names of an atlas's axes, x first; ``point`` for a table of points.
 
     Raise InputError unless there are one to three axes, for an empty selection, and for regimes that a mask has turned
-    into floats: NaN is no regime.
+    into floats, since NaN is no regime.
     """
     if REGIME.name not in ds:
         raise InputError(f"not an atlas: it has no variable {REGIME.name!r}")
@@ -61,10 +61,10 @@ def check_not_points(ds: "xr.Dataset", what: str) -> None:
 
 
 def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
-    """Return the part of an atlas nearest to one value of some axes: a plane of a stack, or a line of a plane.
+    """Return the cells of an atlas nearest to given values of some axes: a plane of a stack, or a line of a plane.
 
-    The key ``attractor`` selects an attractor of each cell by its rank; rank 0 has the largest share. Raise InputError
-    for a value outside the grid, as in ``queries.nearest_cell``.
+    ``point`` has the values by axis. The key ``attractor`` selects an attractor of each cell by its rank; rank 0 has
+    the largest share. Raise InputError for a value outside the grid, as in ``queries.nearest_cell``.
     """
     places = {}
     if ATTRACTOR in point:
@@ -92,12 +92,15 @@ def check_axis(ds: "xr.Dataset", name: str) -> None:
 
 
 def axis_values(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
-    """Return the coordinates of an axis."""
+    """Return the coordinates of the cells along an axis."""
     return np.asarray(ds[name].values, dtype=np.float64)
 
 
 def is_log(ds: "xr.Dataset", name: str) -> bool:
-    """Return True if an axis is logarithmic: by the atlas's spec, or else if its points grow by a constant factor."""
+    """Return True if an axis is logarithmic, by the atlas's spec.
+
+    Without a spec an axis is logarithmic if its points grow by a constant factor.
+    """
     stored = spec_of_axis(ds, name).get("scale")
     if stored is not None:
         return bool(stored == "log")
@@ -106,13 +109,16 @@ def is_log(ds: "xr.Dataset", name: str) -> bool:
 
 
 def spec_of_axis(ds: "xr.Dataset", name: str) -> dict[str, Any]:
-    """Return the entry of an axis in the atlas's spec; empty if there is none."""
+    """Return the entry of an axis in the spec that the atlas stores; empty if there is none."""
     axes = stored_spec(ds.attrs).get("axes", ())
     return next((axis for axis in axes if isinstance(axis, dict) and axis.get("name") == name), {})
 
 
 def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
-    """Return the n + 1 edges of the cells along an axis, in rising order: its bounds, if any, else ``edges_of``."""
+    """Return the n + 1 edges of the n cells along an axis, in rising order.
+
+    They are the axis's CF bounds if it has any, else edges that ``edges_of`` computes from the coordinates.
+    """
     bounds = ds[name].attrs.get("bounds")
     if bounds in ds.variables:
         pairs = np.asarray(ds[bounds].values, dtype=np.float64)
@@ -121,7 +127,10 @@ def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 
 def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
-    """Return the width of each cell along an axis, in the axis's unit and order; 1 if all widths are equal."""
+    """Return the width of each cell along an axis, in the order of the axis; 1 for all if all widths are equal.
+
+    Widths are in the axis's unit.
+    """
     values = axis_values(ds, name)
     if is_uniform(values) and ds[name].attrs.get("bounds") not in ds.variables:
         return np.ones_like(values)
@@ -131,7 +140,7 @@ def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 
 def nearest(ds: "xr.Dataset", name: str, value: float) -> int:
-    """Return the index of the cell that is drawn at a value of an axis.
+    """Return the index of the cell along an axis that is drawn at a value of the axis.
 
     Raise InputError for a value more than half a cell beyond the ends.
     """
@@ -151,7 +160,7 @@ def window_indices(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray
 
 
 def select_window(ds: "xr.Dataset", window: Window | None) -> "xr.Dataset":
-    """Return the part of an atlas in a window, not loaded yet; arguments and errors as in ``window_indices``."""
+    """Return the cells of an atlas in a window, not loaded yet; arguments and errors are as in ``window_indices``."""
     window = validate_window(window)
     if not window:
         return ds

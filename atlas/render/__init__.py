@@ -1,8 +1,8 @@
-"""Pictures, drawn from results alone, without a display and without pyplot.
+"""Pictures of results, drawn with Matplotlib, without a display and without pyplot.
 
-To add a kind of map, add a row to ``kinds.py`` and a painter to ``class_maps.py`` or ``scalar_maps.py``, and name the
-painter in ``painters.py``. The tests then include the kind; ``python -m tests.reference`` draws the reference picture
-that they need.
+To add a kind of map, add a row to ``kinds.py`` and a painter, the function that builds its layers, to ``class_maps.py``
+or ``scalar_maps.py``, and name the painter in ``painters.py``. The tests then include the kind; ``python -m
+tests.reference`` draws the reference picture that they need.
 """
 
 from atlas.render.drawing import figure, portrait, render

@@ -1,4 +1,7 @@
-"""Maps of classes, each with a colour and a legend entry: periods, motions, attractors, basins."""
+"""Maps of classes of cells, each with a colour and a legend entry: periods, motions, attractors, basins.
+
+The functions return layers: codes of cells with their colours, hatches and legend, from which a figure is drawn.
+"""
 
 import colorsys
 from collections.abc import Sequence
@@ -40,12 +43,11 @@ PERIODS: tuple[tuple[int, int, str], ...] = (
     (9, 16, "#a6c5a9"),
     (17, np.iinfo(np.int32).max, "#9ae2ff"),
 )
-"""First and last period of each class, and its colour, the same in every picture. Colours are cool, since chaos is
-warm.
+"""First and last period of each class of the period map, and its colour.
 
-Lightness rises from class to class in even steps, so that neighbours differ in grey too, by luminance as by the weights
-of Rec. 601. The smallest difference (CIEDE2000) between any two is above 20, and above 12 as seen without red, green or
-blue receptors. One of the first eight periods is blue.
+Colours are cool, since chaos is warm. Lightness rises from class to class in even steps, so that neighbours differ in
+grey too, by luminance as by the weights of Rec. 601. The smallest difference (CIEDE2000) between any two is above 20,
+and above 12 as seen without red, green or blue receptors. One of the first eight periods is blue.
 """
 
 HUES = {
@@ -78,26 +80,24 @@ PALETTE = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#c9703f", "#3
 Mirror images have a darker tone of the same hue, since paler points would be invisible on white.
 """
 REST = "#4d4d4d"
-"""Colour of all other branches."""
+"""Colour of the branches beyond those of PALETTE."""
 BASINS = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#8fb8d8", "#c9703f", "#6d6d6d")
 """Colours of the attractors of a plane of initial states, repeated if there are more."""
 PALER, DARKER = 0.8, 0.25
-"""Lightness of the colour of a mirror image, with the hue of its twin; 0 is black, 1 is white."""
+"""Lightness of the colour of a mirror image, in the hue of its twin, on basin and on branch maps; 0 is black."""
 SLOW = 0.55
-"""Brightness that is left to the slowest initial states; 0 is black."""
+"""Share of the brightness that is left to the initial states that settle slowest; 0 is black."""
 SOONEST, LATEST = 5.0, 95.0
-"""Percentiles of settling times between which shading grows."""
+"""Percentiles of the settling times between which a basin map darkens."""
 
 
 def period(view: MapView) -> MapLayers:
-    """Return the layers of the period map: the period of each cell's orbit, or the regime if its motion is not
-    periodic.
-    """
+    """Return the layers of the period map: cells by the period of their orbit, or by their regime if not periodic."""
     return build_layers(view.plane.regime, by_period(view.plane), side_legend_title="")
 
 
 def by_period(plane: Plane) -> list[Class]:
-    """Return the classes of periods."""
+    """Return the classes of a plane's periodic cells by ranges of the period, each with its colour and name."""
     periodic, period = plane.regime == PERIODIC, plane["period"]
     classes = []
     for first, last, color in PERIODS:
@@ -108,7 +108,10 @@ def by_period(plane: Plane) -> list[Class]:
 
 
 def motions(view: MapView) -> MapLayers:
-    """Return the layers of the motion map: periodic motions n-p-q, with labels on large regions."""
+    """Return the layers of the motion map: periodic motions by name, with labels on large regions.
+
+    The name n-p-q gives the periods and the numbers of impacts on the upper and on the lower stop.
+    """
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
     names, number = motions_of(regime, *counts)
     colors = [color_of(motion) for motion in names]
@@ -131,7 +134,7 @@ def motions(view: MapView) -> MapLayers:
 
 
 def color_of(motion: MotionName) -> str:
-    """Return the colour of a motion, the same in every picture; mirror images share a hue."""
+    """Return the colour of a periodic motion n-p-q, the same in every picture; a mirror image has the same hue."""
     if motion.p < 0:
         return STICKS
     group = (motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
@@ -143,7 +146,7 @@ def color_of(motion: MotionName) -> str:
 def attractors(view: MapView) -> MapLayers:
     """Return the layers of the map of the number of attractors that the initial states of each cell reach.
 
-    A cell with undecided initial states may have more; its known attractors count.
+    A cell with undecided initial states may have more attractors; the map shows the number of those known.
     """
     most = max(COUNTS)
     count = np.minimum(np.nan_to_num(view.plane.known_values("attractors")).round(), most)
@@ -153,10 +156,10 @@ def attractors(view: MapView) -> MapLayers:
 
 
 def labels(view: MapView) -> MapLayers:
-    """Return the layers of the branch map: the branch of each cell's attractor, by default of the one with the largest
-    share.
+    """Return the layers of the branch map: each cell by the labelled branch of orbits to which its attractor belongs.
 
-    A mirror image has a darker tone of its twin's hue. Chaos and tori have no label, and the colour of their regime.
+    Of several attractors the one with the largest share of the initial states counts by default. A mirror image has a
+    darker tone of its twin's hue. Chaos and tori have no label, and the colour of their regime.
     """
     known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
     numbered, entries = (label, branch_colors(known)), branch_entries(known, label)
@@ -166,8 +169,9 @@ def labels(view: MapView) -> MapLayers:
 def colors_of(
     known: xr.Dataset, palette: Sequence[str], mirrored: float, quiet: str, rest: str | None = None
 ) -> list[str]:
-    """Return the colour of every attractor of the table ``known``.
+    """Return the colour of every attractor of the table ``known``, in the order of the table.
 
+    known     table of attractors, with their regimes and the index of each one's mirror image
     palette   colours in order of label, repeated if there are more attractors and ``rest`` is None
     mirrored  lightness of a mirror image, in its twin's hue
     quiet     colour of motion without impact
@@ -192,15 +196,21 @@ def colors_of(
 
 
 def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
-    """Return the colour of every branch by label; small branches share one. With ``ink`` the colours suit points on
-    white.
+    """Return the colour of every branch of the table ``known``, in order of label; small branches share one colour.
+
+    With ``ink`` the colours suit points on white.
     """
     quiet = style.INK[NO_IMPACT] if ink else REGIME_COLORS[NO_IMPACT]
     return colors_of(known, PALETTE, DARKER, quiet, REST)
 
 
 def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = False) -> list[LegendEntry]:
-    """Return the legend entries of the branches among these labels."""
+    """Return the legend entries of the branches whose labels occur in ``label``.
+
+    known   table of branches
+    label   labels of cells; negative for cells without a label
+    ink     True for colours that suit points on white
+    """
     numbers, colors = np.unique(label[label >= 0]), branch_colors(known, ink)
     named = [k for k in numbers.tolist() if colors[k] != REST]
     entries = [LegendEntry(colors[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
@@ -208,7 +218,7 @@ def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = Fals
 
 
 def _name_of_branch(known: xr.Dataset, label: int) -> str:
-    """Return the name of a branch: n-p-q (periods, impacts at each stop), and its twin if it is a mirror image."""
+    """Return the name of a branch: n-p-q (periods, impacts at each stop), and the branch that it mirrors, if any."""
     one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
         return REGIME.meaning(NO_IMPACT).text
@@ -217,10 +227,10 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
 
 
 def basins(view: MapView) -> MapLayers:
-    """Return the layers of the basin map: the attractor that each initial state reaches, darker for slow settling.
+    """Return the layers of the basin map: initial states by the attractor that they reach, darker for slow settling.
 
-    A mirror image has a paler tone of its twin's hue. The section points of the attractors lie on top; of a cycle
-    without a force all of its points do.
+    A mirror image has a paler tone of its twin's hue. The states of the attractors at t = k T, the start of each
+    forcing period, are points over the map. A cycle of a machine without a force is drawn with many points along it.
     """
     known, plane, unforced = reached.table(view.ds), view.plane, text.is_unforced(view.ds)
     colors = colors_of(known, BASINS, PALER, REGIME_COLORS[NO_IMPACT])
@@ -242,7 +252,7 @@ def basins(view: MapView) -> MapLayers:
 
 
 def _name_of_attractor(known: xr.Dataset, label: int, regimes: Variable) -> str:
-    """Return the name of an attractor: its label, its regime or period, its share."""
+    """Return the name of an attractor for the legend: label, period or regime, and share of the initial states."""
     one = known.isel({ATTRACTOR: label})
     regime = int(one["regime"])
     what = f"period {int(one['period'])}" if regime == PERIODIC else regimes.meaning(regime).text
@@ -252,12 +262,15 @@ def _name_of_attractor(known: xr.Dataset, label: int, regimes: Variable) -> str:
 
 
 def is_cycle(one: xr.Dataset) -> bool:
-    """Return True if the attractor ``one`` is a cycle without a force, whose points lie all along it."""
+    """Return True if the attractor ``one`` is a limit cycle of a machine without a force.
+
+    The points of such a cycle lie all along it.
+    """
     return CYCLE_PERIOD.name in one and bool(np.isfinite(one[CYCLE_PERIOD.name]))
 
 
 def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[PointLayer]:
-    """Return the section points of the attractors on the plane of the initial states."""
+    """Return the states of the attractors at t = k T as points over a plane of initial states, by attractor."""
     names = [str(name) for name in known["component"].values]
     at = [names.index(axis.name) for axis in (plane.x, plane.y)]
     points = []

@@ -1,4 +1,4 @@
-"""Overlays and labels over a map for a page that draws them itself, as plain JSON and arrays of cells."""
+"""Overlays and labels of a map as plain JSON and arrays, for a web page that draws them itself."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ _FINE = 1e-7
 
 @dataclass(frozen=True)
 class OverlayLines:
-    """An overlay for a page.
+    """An overlay of a map, for a web page.
 
-    described  its data, as plain JSON
+    described  lines, marks and their styles, as plain JSON
     regions    numbers of cells (y, x), between which the page draws borders; None for an overlay of lines
     """
 
@@ -39,7 +39,10 @@ class OverlayLines:
 
 
 def lines_over(view: MapView, name: str, size: Size) -> OverlayLines:
-    """Return an overlay of a map of ``size`` pixels. Raise OverlayError if the overlay cannot be drawn."""
+    """Return the overlay ``name`` of a map that is ``size`` (width, height) pixels large.
+
+    Raise OverlayError if the overlay cannot be drawn.
+    """
     try:
         return _OVERLAYS[name](view, size)
     except InputError as error:
@@ -47,7 +50,7 @@ def lines_over(view: MapView, name: str, size: Size) -> OverlayLines:
 
 
 def names_on(layers: MapLayers, plane: Plane, size: Size) -> list[dict[str, Any]]:
-    """Return the labels that fit into the regions of a map, each with its position, angle and colour."""
+    """Return the labels that fit into regions of a map of ``size`` pixels, each with its position, angle and colour."""
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
     step, even_index = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
     names = []
@@ -92,7 +95,7 @@ def _curves(view: MapView, size: Size) -> OverlayLines:
 
 
 def _polylines(plane: Plane, kind: str, style: Mapping[str, Any], lines: Iterable[Array]) -> OverlayLines:
-    """Return lines of one kind. They are switched by the choice of overlays, not in the legend."""
+    """Return an overlay of lines that all have one kind and style; its legend has no switch for the kind."""
     parts = [{"kind": kind, "points": part} for line in lines for part in _parts(plane, line)]
     return OverlayLines(_described({kind: {**style, "fixed": True}}, parts))
 
@@ -102,13 +105,14 @@ def _described(looks: Mapping[str, Any], lines: list[dict[str, Any]]) -> dict[st
 
 
 def _ends(plane: Plane) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the (x, y) limits of a plane, at the outer edges of its cells: lowest and highest."""
+    """Return the lowest and the highest (x, y) of a plane, at the outer edges of its cells."""
     return (plane.x.edges[0], plane.y.edges[0]), (plane.x.edges[-1], plane.y.edges[-1])
 
 
 def _parts(plane: Plane, line: Array) -> list[list[float]]:
-    """Return the visible parts of a line (N, 2), each extended by one point at either end, rounded to visible
-    precision.
+    """Return the parts of a line (N, 2) that lie in the plane, each as a flat list of x and y in turn.
+
+    Each part is extended by one point at either end, and rounded to what is visible.
     """
     low, high = _ends(plane)
     first, last = line[:-1], line[1:]

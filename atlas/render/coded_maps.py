@@ -1,4 +1,4 @@
-"""The layers of maps for a page that draws them itself, as codes of cells and JSON.
+"""Maps as codes of cells and plain JSON, for a web page that draws them itself.
 
 A code stands for a colour, or for the colorbar by which the page colours the cell's number.
 """
@@ -32,13 +32,13 @@ from workers.results import NO_IMPACT
 
 @dataclass(frozen=True)
 class CodedMap:
-    """A map for a page.
+    """A map of cells, for a web page.
 
     name       name of its kind, or of its variable
-    codes      (y, x) index of each cell's entry, which determines the colour
+    codes      (y, x) index of each cell's entry among the map's colours and patterns
     needs      variables that it reads; the first is the one on the colorbar
-    described  further data for the page, as plain JSON
-    layers     layers of the map
+    described  colours, patterns, legend and colorbar, as plain JSON
+    layers     layers of the map, from which codes and description were made
     """
 
     name: str
@@ -49,7 +49,10 @@ class CodedMap:
 
 
 def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
-    """Yield every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable."""
+    """Yield all maps that the variables of the cells ``seen`` allow: each kind of map, then a map of each number.
+
+    ``ds`` is the dataset of the whole atlas, with its attributes.
+    """
     stored_kinds = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
     kinds = [
         name for name in stored_kinds if name in PAINTERS and not (name == LABELS and BASINS in stored_kinds)
@@ -60,7 +63,10 @@ def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
 
 
 def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
-    """Return the named map of the cells ``seen`` of an atlas. Raise InputError if they have no such map."""
+    """Return the map ``name`` of the cells ``seen``, which are visible cells of the atlas ``ds``.
+
+    Raise InputError if the cells lack the variables of the map.
+    """
     variable = name.removeprefix(NUMBER).removesuffix(LOGARITHM) if name.startswith(NUMBER) else None
     kind = KIND_TABLE[SCALAR if variable else name]
     needs = (variable,) if variable else kind.variables
@@ -71,7 +77,7 @@ def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
 
 
 def text_of(label: str) -> str:
-    """Return a label of a picture with its mathtext in Unicode."""
+    """Return a label of a picture as plain text, with its mathtext as Unicode."""
     parts = label.split("$")
     unicode_text = "".join(
         mathtext_to_unicode(part).replace("-", "\N{MINUS SIGN}") if k % 2 else part for k, part in enumerate(parts)
@@ -80,7 +86,10 @@ def text_of(label: str) -> str:
 
 
 def described_curves(curves: Sequence[Curve]) -> dict[str, Any]:
-    """Return curves, where their orbit is otherwise stable, as plain JSON."""
+    """Return stored curves as plain JSON for a web page: lines, ends, and points of codimension two, with their styles.
+
+    Only the parts of a curve where its orbit is otherwise stable are included.
+    """
     corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
     kinds = {curve.kind for curve in curves}
     return {
@@ -101,7 +110,7 @@ def _line_look(look: style.EventStyle) -> dict[str, Any]:
 
 
 def _mark_look(kind: str) -> dict[str, Any]:
-    """Return name and outline of a point of codimension two, in units of its size."""
+    """Return the name of a point of codimension two and the outline of its marker, in units of the marker's size."""
     look = style.corner_look(kind, 1.0)
     marker = MarkerStyle(look["marker"])
     shape = marker.get_path().transformed(marker.get_transform()).to_polygons()
@@ -141,8 +150,9 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
 
 
 def _shown(layers: MapLayers, style: CellStyle) -> dict[str, Any]:
-    """Return the entry of a style: a colour, or a mark that the number of the cell has one. Shading darkens all colours
-    but those of regimes.
+    """Return how a page draws cells of a style: in a colour, or by the colorbar according to the cell's number.
+
+    Shading, if the map has it, darkens all colours but those of regimes.
     """
     if style.by_number and layers.scalar is not None:
         if layers.scalar.bar:
@@ -152,7 +162,7 @@ def _shown(layers: MapLayers, style: CellStyle) -> dict[str, Any]:
 
 
 def _shade(layers: MapLayers, variable: str) -> dict[str, Any] | None:
-    """Return the shading of colours by a variable."""
+    """Return, as plain JSON, the variable that darkens a map's colours, and its limits; None without shading."""
     if layers.shade is None:
         return None
     return {
@@ -168,7 +178,10 @@ def _hex(color: Colors) -> str:
 
 
 def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
-    """Return the hatch of each cell (y, x), 0 for none, otherwise its position in the returned list, from 1."""
+    """Return the hatch of each cell (y, x) as a number, and the list of hatches.
+
+    0 is no hatch; k is entry k - 1 of the list, which gives pattern and colour.
+    """
     numbers, patterns = np.zeros(layers.codes.shape, np.int64), []
     regimes = [code for code in style.HATCH if code != NO_IMPACT]  # hatched where colours hide
     textures = [
@@ -185,7 +198,12 @@ def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]
 
 
 def _bar(bar: ScalarLayer, stored: NDArray[Any], variable: str) -> dict[str, Any]:
-    """Return a colorbar."""
+    """Return a colorbar as plain JSON.
+
+    bar        numbers of cells with their colormap and norm
+    stored     values of the variable as stored, in which an exact zero may have its own position on a logarithmic scale
+    variable   name of the variable
+    """
     above, both = bar.signs or (bar.colormap, None)
     zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
     return {
@@ -204,7 +222,7 @@ def _table(colormap: Colormap) -> str:
 
 
 def _entry(entry: LegendEntry) -> dict[str, Any]:
-    """Return a legend entry."""
+    """Return a legend entry as plain JSON."""
     described = {"label": text_of(entry.label), "color": to_hex(entry.color)}
     if entry.min_brightness < 1.0:
         return described | {"dark": entry.min_brightness}

@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _BEYOND_EXPONENTS, _BEYOND = 2.0, 0.5
-"""Percentage of cells that may lie beyond a colour limit, of exponents and of other numbers."""
+"""Percentages of cells that may lie beyond a default colour limit: of exponents, and of other numbers."""
 
 
 def scale_ends(largest: Array) -> tuple[float, float]:
-    """Return the lower and upper colour limits of exponents, one on each side of zero.
+    """Return the lower and the upper colour limit for Lyapunov exponents ``largest``, one on each side of zero.
 
-    A side without cells gets the size of the other side.
+    If all exponents lie on one side, the other side of the scale gets the same size.
     """
     finite = largest[np.isfinite(largest)]
     low, high = _reach(-finite[finite < 0]), _reach(finite[finite > 0])
@@ -20,7 +20,7 @@ def scale_ends(largest: Array) -> tuple[float, float]:
 
 
 def _reach(sizes: Array) -> float:
-    """Return the size of a side of the limits: the percentile of ``sizes``, rounded up to two digits."""
+    """Return a colour limit for positive numbers: a high percentile, rounded up to two digits; 0.0 for no numbers."""
     if sizes.size == 0:
         return 0.0
     reach = float(np.percentile(sizes, 100.0 - _BEYOND_EXPONENTS))
@@ -29,9 +29,10 @@ def _reach(sizes: Array) -> float:
 
 
 def number_ends(values: Array, log: bool) -> tuple[float, float]:
-    """Return the colour limits of finite values, with ``log`` of positive values: percentiles near both ends.
+    """Return the colour limits for the finite values of an array, or with ``log`` for its positive values.
 
-    Logarithmic limits span at least a decade. Without such values the default limits are returned.
+    The limits are percentiles near both ends. Logarithmic limits span at least a decade. If no value counts, the limits
+    are 0 and 1, or with ``log`` 0.1 and 1.
     """
     finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
     if not finite.size:

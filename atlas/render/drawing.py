@@ -1,4 +1,4 @@
-"""Drawing any subject as one figure, or to a file: atlases, comparisons, orbits of cells, branches."""
+"""Drawing a subject as a figure or a file: one or several atlases, a comparison, the orbit of a cell, branches."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -156,7 +156,7 @@ def _drawn(subject: "Subject", request: PictureRequest, titles: Sequence[str]) -
 
 
 def _sources(subject: "Subject", request: PictureRequest) -> list[Any]:
-    """Return the sources of the numbers of a picture: atlases, an orbit or branches."""
+    """Return the objects whose numbers a picture shows, for its provenance: atlases, an orbit or branches."""
     if isinstance(subject, Comparison):
         return [subject.first, subject.second]
     if isinstance(subject, Sequence):
@@ -217,7 +217,10 @@ def _of_stack(ds: "xr.Dataset", request: PictureRequest) -> "Figure":
 
 
 def check_units(*atlases: "xr.Dataset") -> None:
-    """Raise InputError if exponents are converted to another unit than the one stored; pictures support no other."""
+    """Raise InputError if an atlas's exponents were converted to another unit than the stored one.
+
+    Pictures support no other unit.
+    """
     from atlas.render import text
 
     for ds in atlases:
@@ -226,7 +229,13 @@ def check_units(*atlases: "xr.Dataset") -> None:
 
 
 def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], layout: "FigureLayout") -> None:
-    """Note above a map that it is coarser than its atlas, with the exact fractions of doubtful cells."""
+    """Note above a map that one drawn cell stands for several, with the exact fractions of cells without a sure result.
+
+    ax       the plot of the map
+    ds       the atlas
+    block    number of cells of the atlas along each axis for which one drawn cell stands
+    layout   layout of the figure
+    """
     shares = fractions(ds)
     names = [regime.name for regime in REGIMES if regime.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
     doubtful = {name: shares[name] for name in names if name in shares}

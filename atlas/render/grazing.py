@@ -1,4 +1,7 @@
-"""Grazing lines of impact-free motion: where its extremes over a period equal the distances to the stops."""
+"""Grazing lines: parameters at which motion without impacts just touches a stop.
+
+There an extreme of the motion over a period equals the distance to the stop.
+"""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -28,9 +31,9 @@ POINTS_OF_PAIRS = 60
 """Maximum number of points along an axis if every pair of points has to be computed."""
 
 FINER = 4
-"""Refinement factor along both axes near the line."""
+"""Number of fine steps for each coarse step of the grid near the grazing line."""
 _REACH = 3.0
-"""Logarithm of the ratio up to which a maximum or minimum between points may cross zero."""
+"""Absolute value of the logarithm in ``grazing_ratio`` up to which an extreme between grid points may cross zero."""
 _NEGLIGIBLE = 1e-15
 """Amplitude, relative to the sum over all harmonics, below which a harmonic is ignored."""
 
@@ -38,8 +41,11 @@ _NEGLIGIBLE = 1e-15
 def grazing_lines(ds: "xr.Dataset", x: PlaneAxis, y: PlaneAxis) -> list[Array]:
     """Return the lines (N, 2) of a plane, x first, along which the impact-free motion grazes a stop.
 
+    ds     dataset of an atlas, which gives the system and the fixed parameters
+    x, y   axes of the plane
+
     Raise InputError if the system is unknown, or its impact-free motion is not linear. Raise InputError also if a mode
-    has no stiffness at all corners of the plane.
+    of vibration has no stiffness at all corners of the plane.
     """
     system = system_of(ds.attrs, "overlay 'grazing'")
     alone = with_one_stop(system)[0]
@@ -56,8 +62,11 @@ def grazing_lines(ds: "xr.Dataset", x: PlaneAxis, y: PlaneAxis) -> list[Array]:
 
 
 def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array], y: tuple[str, Array]) -> Array:
-    """Return the log of the largest of max Y / b_upper and max -Y / b_lower over all contacts, at points of two
-    parameters.
+    """Return the log of the largest of max Y / b_upper and max -Y / b_lower over all contacts.
+
+    system   the system
+    fixed    parameters that are not axes, by name
+    x, y     name of an axis, and its values
 
     Y is the impact-free motion of the contact's gap coordinate about its rest position; b_upper and b_lower are the
     distances from there to the stops. The result (y, x) is zero on the grazing line, and infinite where the rest
@@ -70,15 +79,15 @@ def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array],
 
 
 def _ratios(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
-    """Return the ratio of ``grazing_ratio`` at points (N,) of the parameters in ``points``."""
+    """Return the logarithm that ``grazing_ratio`` computes, at N points given by values (N,) of both parameters."""
     return np.maximum.reduce([_ratios_of_one(alone, fixed, points) for alone in with_one_stop(system)])
 
 
 def with_one_stop(system: System) -> tuple[System, ...]:
-    """Return for each contact the machine with that contact alone, made rigid.
+    """Return, for each contact of a system, the system with this contact alone, made rigid.
 
-    The law of a contact changes no motion that does not reach the contact. Raise InputError if friction, phases or
-    springs with a law make the impact-free motion nonlinear.
+    The force law of a contact changes no motion that does not reach the contact. Raise InputError if friction, phases
+    or springs with a law make the impact-free motion nonlinear.
     """
     definition = system.definition
     if definition.friction or definition.phases or definition.springs:
@@ -102,7 +111,7 @@ def with_one_stop(system: System) -> tuple[System, ...]:
 
 
 def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
-    """Return the ratio of ``grazing_ratio`` at points (N,), for a machine with one rigid contact."""
+    """Return the logarithm that ``grazing_ratio`` computes, at N points, for a system with one rigid contact."""
     ratios = np.full(len(next(iter(points.values()))), np.nan)
     for part, osc, exists in machine.oscillators(system, fixed, points):
         highest, lowest = extremes(osc.gap)
@@ -115,16 +124,16 @@ def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Ar
 
 
 def drifts(osc: Oscillator) -> NDArray[np.bool_]:
-    """Return the mask of the oscillators with a mode of vibration without stiffness."""
+    """Return the mask (N,) of the machines that may drift, since a mode of vibration has no stiffness."""
     return np.asarray(np.any(osc.gap.lam == 0.0, axis=1))
 
 
 def extremes(signal: GuardedFlow) -> tuple[Array, Array]:
-    """Return the largest and the smallest value, over a period, of the forced part of many signals.
+    """Return the largest and the smallest value, over a forcing period, of the forced response of many signals.
 
-    With z = exp(i phi), the derivative of sum_k s_k sin(k phi) + c_k cos(k phi) is half of sum_k k ((s_k + i c_k) z^k +
-    (s_k - i c_k) z^-k). Both extremes therefore lie at the angles of roots of a polynomial of degree 2 H. Values at the
-    angles of all other roots lie between the extremes.
+    The response is a sum over H harmonics. With z = exp(i phi), the derivative of sum_k s_k sin(k phi) + c_k cos(k phi)
+    is half of sum_k k ((s_k + i c_k) z^k + (s_k - i c_k) z^-k). Both extremes therefore lie at the angles of roots of a
+    polynomial of degree 2 H. Values at the angles of all other roots lie between the extremes.
     """
     s, c = np.nan_to_num(signal.sin_part), np.nan_to_num(signal.cos_part)
     sizes = np.hypot(s, c)
@@ -190,18 +199,18 @@ def grazing_grid(
 
 
 def _bounded(ratio: Array) -> Array:
-    """Return the ratio with infinities replaced by _REACH, which is too large for a line to come near."""
+    """Return values of ``grazing_ratio`` with _REACH in place of infinities; contour lines stay away from it."""
     return np.where(np.isposinf(ratio), _REACH, ratio)
 
 
 def _between(points: Array) -> Array:
-    """Return the points with FINER - 1 points inserted between any two neighbours."""
+    """Return sorted points (N,) with FINER - 1 evenly spaced points inserted between any two neighbours."""
     at = np.arange(FINER * (points.size - 1) + 1) / FINER
     return np.interp(at, np.arange(points.size), points)
 
 
 def _near_zero(ratio: Array) -> NDArray[np.bool_]:
-    """Return the mask of the grid meshes, one fewer each way than the points, near a zero of the ratio.
+    """Return which meshes of a grid, one fewer each way than its points (y, x), lie near a zero of ``ratio``.
 
     Meshes at a maximum or minimum that may cross zero between the points are included.
     """

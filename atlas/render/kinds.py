@@ -1,4 +1,4 @@
-"""The tables of kinds of pictures, of the colours of variables, and of overlays, with the meaning of each.
+"""Tables of the kinds of pictures, of the colours of variables, and of overlays, with the meaning of each.
 
 This module imports neither matplotlib nor xarray, since the command's help lists the table.
 """
@@ -25,13 +25,13 @@ pale as cells without data, which are white.
 
 @dataclass(frozen=True)
 class ColorScale:
-    """The colours of the numbers of a kind, or of a variable.
+    """How the numbers of a variable, or of a kind of map, are coloured.
 
     label         label of the colorbar; empty for the meaning and unit of the variable
     colors        colours from the lower to the upper limit
     zero          colour and name of cells that are exactly 0
     log           True if the norm is logarithmic
-    undetermined  True if cells of undetermined class have the number too
+    undetermined  True if cells whose regime could not be determined have the number, too
     hint          advice for an atlas without the variable
     """
 
@@ -44,18 +44,18 @@ class ColorScale:
 
 
 CLASSES = ColorScale()
-"""The colours of kinds without numbers."""
+"""The colour scale of kinds of maps that show classes instead of numbers."""
 
 
 @dataclass(frozen=True)
 class PictureKind:
-    """A kind of picture.
+    """A kind of picture of an atlas.
 
     name         its name
-    axes         number of axes
+    axes         number of axes that an atlas must have
     variables    variables that a map reads besides the regimes; the first one is required
     description  meaning in the words of the command's help
-    scale        colours of its numbers; CLASSES if there are none
+    scale        colours of its numbers; CLASSES if it shows no numbers
     atlases      number of atlases drawn
     hint         advice for an atlas without its variables
     """
@@ -69,7 +69,7 @@ class PictureKind:
     hint: str = ""
 
     def require(self, ds: "xr.Dataset", names: Sequence[str]) -> None:
-        """Raise InputError, with the hint, if an atlas lacks one of these variables."""
+        """Raise InputError, with the kind's hint, if the atlas ``ds`` lacks one of the variables ``names``."""
         for name in names:
             if name not in ds:
                 hint = f"; {self.hint}" if self.hint else ""
@@ -79,7 +79,7 @@ class PictureKind:
 
 
 BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
-"""The kinds of planes of initial states, of labelled attractors, and of a named variable."""
+"""Names of the kinds of maps of basins, of labelled attractors, and of a variable that the user names."""
 
 NUMBER, LOGARITHM = "number-", "-log"
 """Prefix of the name of a map of a variable, and suffix of that name for a logarithmic norm."""
@@ -88,7 +88,7 @@ _PER_PERIOD = "[per forcing period]"
 _VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
 _PALE_BLUE = ("#eef3f0", "#c4dcd9", "#93bfc4", "#5f9cad", "#356f8c", "#173f5f")
 _DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
-"""Colours from safe to unsafe, and from unsafe to safe: values near an edge are dark."""
+"""Colours of a measure of safety from unsafe, which is dark, to safe; _PALE_BLUE and _VIOLET begin pale."""
 _MEASURE = "measure its attractors by atlas attractors measure"
 
 _EXPONENTS = ColorScale(rf"$\lambda_i$ {_PER_PERIOD}")
@@ -108,7 +108,7 @@ SCALES: Mapping[str, ColorScale] = {
     "amplification": ColorScale("amplification of a deviation", _PALE_BLUE, log=True, hint=_MEASURE),
     "fatal_shock": ColorScale("minimal fatal shock", _DARK_FIRST, log=True, hint=f"{_MEASURE} --shocks"),
 }  # fmt: skip
-"""The colours of variables that have their own."""
+"""The colour scales of variables that do not use the scale NUMBERS."""
 
 # For each number of axes the default is the first kind whose variable the atlas has.
 KIND_TABLE = {
@@ -146,7 +146,7 @@ KINDS = tuple(name for name in KIND_TABLE if name != SCALAR)
 """The kinds of an atlas: "exponent" to "basins" for two axes, the others for one; "hysteresis" takes two atlases."""
 
 MAPS = tuple(name for name in KINDS if KIND_TABLE[name].axes == 2 and name not in (BASINS, LABELS))
-"""Kinds over two axes of a parameter plane, drawn from its cells alone."""
+"""Kinds of maps that need nothing but the cells of a plane of parameters."""
 
 KIND_MEANINGS = {name: kind.description for name, kind in KIND_TABLE.items()}
 """Meaning of each kind of picture, in the words of the command's help."""
@@ -180,7 +180,7 @@ CURVES = (
 
 
 class OverlayError(InputError):
-    """Raised for an overlay, named ``overlay``, that an atlas does not support. The map can be drawn without it."""
+    """Raised if an atlas does not support an overlay, whose name is ``overlay``. The map can be drawn without it."""
 
     def __init__(self, overlay: str, reason: str) -> None:
         super().__init__(reason)
@@ -188,7 +188,7 @@ class OverlayError(InputError):
 
 
 def required_variables(kind: str) -> list[str]:
-    """Return the variables of a map of this kind, besides the regimes."""
+    """Return the names of the variables that a map of this kind reads, besides the regimes."""
     return list(KIND_TABLE[kind].variables)
 
 
@@ -198,6 +198,6 @@ def has_scale(kind: str) -> bool:
 
 
 def found_axes(ds: "xr.Dataset") -> str:
-    """Return the axes of an atlas, for error messages."""
+    """Return a text for error messages that counts and names the axes of an atlas."""
     axes = axis_names(ds)
     return f"found {AXES.get(len(axes), f'{len(axes)} axes')} ({', '.join(axes)})"

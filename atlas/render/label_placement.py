@@ -1,4 +1,4 @@
-"""Placement of labels in regions of cells, and detection of lines that run side by side. Lengths are in points."""
+"""Placement of labels in regions of a map, and detection of lines that run side by side. Lengths are in points."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -13,21 +13,21 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
 _REGIONS = 2
-"""Maximum number of regions with the same label."""
+"""Maximum number of regions in which the same label is placed."""
 _STEP = 2.0
-"""Maximum distance between the points at which a line is examined."""
+"""Maximum distance, in points, between the places at which a line is examined for neighbours."""
 _SHORTEST = 21
-"""Number of such points over which the majority decides.
+"""Number of consecutive examined places of a line, the majority of which decides whether the line is crowded.
 
-Dashes start again with each part, and lines that cross stay in one part.
+Dashes start again with each part of a line, so parts must be long. Lines that cross stay in one part.
 """
 
 
 class LabelPlacement(NamedTuple):
-    """The position of a label.
+    """The position of a label on a map.
 
-    number  index of the label among the given ones
-    cell    (row, column) of the cell under its centre
+    number  index of the label among the given labels
+    cell    (row, column) of the cell under the label's centre
     angle   angle in degrees
     """
 
@@ -37,11 +37,13 @@ class LabelPlacement(NamedTuple):
 
 
 def places(named: Sequence[tuple[Cells, str]], step: Array, type_size: float) -> Iterator[LabelPlacement]:
-    """Yield a LabelPlacement for each label that fits: its position in one of the two largest regions of its set.
+    """Yield a position for each label that fits into its region of a map.
 
-    named      cells (y, x) and label of each set
+    named      cells (y, x) that a label names, and the label
     step       height and width of a cell
     type_size  type size of the labels
+
+    A label may be placed twice, in the two largest connected regions of its cells.
     """
     for k, (cells, name) in enumerate(named):
         regions, _ = ndimage.label(cells)
@@ -57,10 +59,11 @@ def places(named: Sequence[tuple[Cells, str]], step: Array, type_size: float) ->
 def label_spot(
     region: Cells, step: Sequence[float] | Array, half: tuple[float, float]
 ) -> tuple[int, int, float] | None:
-    """Return row, column and angle, in degrees, of a box inside a region; None if the box fits nowhere.
+    """Return row, column and angle, in degrees, of the centre of a label inside a region; None if it fits nowhere.
 
-    step  points per cell (y, x)
-    half  half sizes of the box (along, across)
+    region  (y, x) mask of the region
+    step    points per cell (y, x)
+    half    half length and half height of the label
 
     The angle follows the region, so that a label fits into a band. The widest spots are tried first.
     """
@@ -82,7 +85,13 @@ def label_spot(
 
 
 def _direction(region: Cells, at: tuple[int, int], step: Sequence[float] | Array, reach: float) -> float:
-    """Return the angle, within 90 degrees either way, of the principal axis of a region around a cell."""
+    """Return the angle along which a region extends most around a cell, in radians from -pi/2 to pi/2.
+
+    region  (y, x) mask of the region
+    at      (row, column) of the cell
+    step    height and width of a cell
+    reach   radius of the part of the region that counts
+    """
     points = (np.argwhere(region) - at) * step
     points = points[np.hypot(*points.T) <= reach]
     _, axes = np.linalg.eigh(points.T @ points)
@@ -91,7 +100,7 @@ def _direction(region: Cells, at: tuple[int, int], step: Sequence[float] | Array
 
 
 def densify_line(line: Array) -> tuple[Array, Array]:
-    """Return points (M, 2) along a line, at most _STEP apart, and the length of the line up to each point."""
+    """Return points (M, 2) along a line (N, 2), at most _STEP apart, and the length of the line up to each point."""
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
     at = np.linspace(0.0, along[-1], 2 + int(along[-1] / _STEP))
     return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)]), at
@@ -100,13 +109,14 @@ def densify_line(line: Array) -> tuple[Array, Array]:
 def crowded_parts(
     lines: Sequence[Array], places: Sequence[Array], distance: float
 ) -> Iterator[tuple[int, Array, bool]]:
-    """Cut lines into parts, and yield (index of the line, part, True if another line runs beside the part).
+    """Cut lines where other lines begin or cease to run beside them, and yield the parts.
 
     lines     (N, 2) points of each line
-    places    (N, 2) the same points, in points of the page
+    places    (N, 2) the same points in points from the plot's corner
     distance  distance within which another line is beside a part
 
-    Another part of the same line counts if it is three times as far away along the line.
+    Each item is the index of the line, the points of the part, and True if another line runs beside the part. Another
+    part of the same line counts, too, if its distance along the line is more than three times ``distance``.
     """
     if not lines:
         return

@@ -1,4 +1,4 @@
-"""A map as data: codes of cells and their styles, and layers of numbers, hatches, points and labels.
+"""A map as data, before colours are applied: a style for each cell, and layers of numbers, hatches, points and labels.
 
 Colours are applied last, so that a matplotlib figure and a web page can be made from the same layers.
 """
@@ -29,12 +29,18 @@ Class: TypeAlias = tuple[Cells, str, str]
 
 LINEAR, LOG, TWO_SIDED = "linear", "log", "two-sided"
 _FORMS = {Normalize: LINEAR, LogNorm: LOG, TwoSlopeNorm: TWO_SIDED}
-"""Names of the norms, for pages that apply them."""
+"""Names of the norms, for web pages that apply the norms themselves."""
 
 
 @dataclass(frozen=True)
 class MapView:
-    """The input of a map: the dataset, its plane of cells, the kind of map, and the requested picture."""
+    """All that a map is made from: the kind of map, the atlas, the cells of its plane, and the requested picture.
+
+    kind      kind of map
+    ds        dataset of the atlas
+    plane     cells of the visible plane, with the variables that the map needs
+    request   validated options of the picture
+    """
 
     kind: PictureKind
     ds: xr.Dataset
@@ -68,8 +74,9 @@ class LegendEntry:
 
     @classmethod
     def from_regime(cls, code: int) -> "LegendEntry":
-        """Return the entry of cells in the colour of this regime; for impact-free cells in another colour it is
-        hatched.
+        """Return the legend entry of cells that have the colour of a regime, with the regime's hatch if it has one.
+
+        The dots of impact-free cells are left out, since they mark only cells that have another colour.
         """
         hatch = None if code == NO_IMPACT else style.HATCH.get(code)
         ink = style.HATCH_INK.get(code, style.TEXTURE)
@@ -83,9 +90,9 @@ class LegendEntry:
 
 
 class CellStyle(NamedTuple):
-    """The appearance of a code: a colour, or with ``by_number`` the colours of the scalar layer.
+    """How cells are drawn: in a colour, or with ``by_number`` in the colours of the map's scalar layer.
 
-    ``regime`` is set if the cells look like cells of that regime.
+    ``regime`` is the code of a regime if the cells are drawn like all cells of the regime.
     """
 
     color: str = "#ffffff"
@@ -94,9 +101,9 @@ class CellStyle(NamedTuple):
 
 
 class HatchLayer(NamedTuple):
-    """A hatch over the cells (y, x) of a mask; their colours show through.
+    """A hatch over the cells (y, x) of a mask; the cells' colours show through.
 
-    ``outlined`` is a mask of cells with an outline, ``entry`` the entry in the legend.
+    ``outlined`` is a mask of cells with an outline, and ``entry`` the entry in the legend.
     """
 
     cells: Cells
@@ -107,14 +114,14 @@ class HatchLayer(NamedTuple):
 
     @classmethod
     def on_color(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "HatchLayer":
-        """Return a hatch in a colour that is visible on ``color``, with its legend entry."""
+        """Return a hatch over ``cells``, in an ink that is visible on ``color``, with its legend entry ``label``."""
         ink = style.ink_on(color)
         return cls(cells, hatch, ink, outlined, LegendEntry(color, label, hatch, ink))
 
 
 @dataclass(frozen=True, eq=False)
 class ScalarLayer:
-    """Numbers of cells (y, x), NaN if there is none, with a colormap and a norm.
+    """Numbers of cells (y, x), NaN for cells without a number, with a colormap and a norm.
 
     colormap  colours of the numbers
     norm      placement of the numbers on the colormap
@@ -134,12 +141,12 @@ class ScalarLayer:
 
     @property
     def form(self) -> str | None:
-        """The name of the norm for pages, None if it has no name."""
+        """The name of the norm by which a web page knows it; None if it has no name."""
         return _FORMS.get(type(self.norm))
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The colour limits."""
+        """The lower and the upper colour limit."""
         return float(self.norm.vmin or 0.0), float(self.norm.vmax or 0.0)
 
     def colors(self, values: Array) -> Colors:
@@ -152,7 +159,7 @@ class ScalarLayer:
 
 
 class ShadingLayer(NamedTuple):
-    """Darkening of colours by numbers of cells (y, x), NaN if there is none.
+    """Darkening of the cells' colours by numbers (y, x); cells with NaN are not darkened.
 
     Brightness falls from 1 at ``low`` to ``min_brightness`` at ``high``.
     """
@@ -164,7 +171,7 @@ class ShadingLayer(NamedTuple):
 
     @property
     def brightness(self) -> Array:
-        """The remaining brightness of each cell."""
+        """The remaining brightness of each cell, from 1 to ``min_brightness``; NaN for cells that are not darkened."""
         return 1.0 - (1.0 - self.min_brightness) * np.clip(
             (self.values - self.low) / max(self.high - self.low, 1.0), 0.0, 1.0
         )
@@ -181,12 +188,12 @@ class PointLayer(NamedTuple):
 class MapLayers:
     """All layers of a map.
 
-    codes              (y, x) indices into ``styles``
-    styles             appearance of each code
+    codes              (y, x) index of each cell's style in ``styles``
+    styles             how cells of each code are drawn
     legend             entries for the styles
-    scalar             numbers of cells with their colours, None for none
+    scalar             numbers of cells with their colours; None if no cell is coloured by a number
     textures           hatch layers
-    shade              darkening of the colours, None for none
+    shade              darkening of the colours; None if there is none
     points             point layers
     point_entry        legend entry of the points: label, and arguments of ``style.mark``
     side_legend_title  title of a legend to the right of the map; None for a legend below
@@ -206,21 +213,21 @@ class MapLayers:
 
     @property
     def entries(self) -> list[LegendEntry]:
-        """All entries of the legend but that of points."""
+        """The entries of the legend, without that of points."""
         return [*self.legend, *(texture.entry for texture in self.textures if texture.entry is not None)]
 
     @property
     def bar(self) -> ScalarLayer | None:
-        """The scalar layer if it has a colorbar."""
+        """The numbers of cells with their colours if the map has a colorbar for them, else None."""
         return self.scalar if self.scalar is not None and self.scalar.bar else None
 
     @property
     def cells_by_number(self) -> Cells:
-        """The mask (y, x) of cells that are coloured by the scalar layer."""
+        """The mask (y, x) of the cells whose colour is that of their number."""
         return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.by_number])
 
     def as_regime(self, regime: int) -> Cells:
-        """Return the mask (y, x) of cells that look like cells of this regime."""
+        """Return the mask (y, x) of cells that are drawn in the colour of a regime, given by its code."""
         return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.regime == regime])
 
 
@@ -232,12 +239,12 @@ def build_layers(
     legend: Sequence[LegendEntry] = (),
     **others: Any,
 ) -> MapLayers:
-    """Return the layers of cells (y, x): classes over the scalar layer over numbered cells.
+    """Return the layers of a map of cells (y, x): classes cover numbers, and numbers cover numbered cells.
 
-    regime    (y, x) regimes; cells without any other style look like their regime
-    classes   classes of cells
-    scalar    the scalar layer
-    numbered  numbers (y, x) of cells, -1 for none, and the colour of each number
+    regime    (y, x) codes of regimes; cells without any other style are drawn in the colour of their regime
+    classes   classes of cells: mask, colour and name
+    scalar    numbers that are coloured by a colormap
+    numbered  index (y, x) of each cell's colour, -1 for none, and the list of colours
     legend    entries before those of the classes
     others    further fields of ``MapLayers``
     """
@@ -262,7 +269,10 @@ def build_layers(
 
 
 def paint(layers: MapLayers) -> Colors:
-    """Return the colours of cells (y, x, 4) in bytes. Pending cells are transparent, to show the hatch below."""
+    """Return the colours of the cells of a map, (y, x, 4) in bytes.
+
+    Cells that are not solved yet (pending) are transparent, to show the hatch below.
+    """
     table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.styles]
     rgba = np.array(table, np.uint8)[layers.codes]
     if layers.scalar is not None:

@@ -1,4 +1,4 @@
-"""The layout of a figure: its size, type, resolution, legend, colour limits, or given axes."""
+"""The layout of a figure: its size, type, resolution, legend and colour limits, or the axes given for it."""
 
 import math
 import os
@@ -32,23 +32,23 @@ WIDTH = 7.0
 _FONT = 10.0
 """Type size in points at the standard width; all type sizes here are relative to it."""
 _NARROW, _NARROW_FONT = 85.0 / 25.4, 8.0
-"""Width in inches of one column of a journal, and its type size in points."""
+"""Width, in inches, of a figure in one column of a journal, and its type size in points."""
 _SHOWN_DPI = 144.0
-"""Dots per inch in a notebook, which shows 72 of them per inch of the figure on coarse screens."""
+"""Dots per inch of a figure in a notebook; coarse screens show 72 of them per inch of the figure."""
 _INCHES = {"mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "in": 1.0}
 _PIXELS = (1500, 1100)
-"""Minimum size (x, y), in pixels, of a map's plot in a file of the standard layout: all larger cells are drawn."""
+"""Size (x, y), in pixels, of a map's plot in a file of the standard layout; all cells larger than a pixel are drawn."""
 _LENGTHS = (0.8, 60.0)
-"""Minimum and maximum side of a figure in inches."""
+"""Minimum and maximum width or height of a figure in inches."""
 _BESIDE = 5.0
 """Minimum width in inches of a figure with a legend beside its plot."""
 
 
 class NotebookFigure(Figure):
-    """A figure that a notebook shows by itself, without pyplot or a magic line, and that threads draw in turn."""
+    """A figure that a notebook shows by itself, without pyplot or a magic line; threads that draw it take turns."""
 
     def savefig(self, *value: Any, **options: Any) -> None:
-        """Save the figure as Matplotlib does."""
+        """Save the figure as Matplotlib does, while no other thread draws."""
         with drawing_context():
             super().savefig(*value, **options)
 
@@ -65,11 +65,11 @@ class FigureLayout:
     """The layout of a figure.
 
     width      width in inches
-    height     height in inches, None for the default of the picture
+    height     height in inches; None for the default of the picture
     font       type size in points
     dpi        dots per inch
-    vmin       lower colour limit, None for the default
-    vmax       upper colour limit, None for the default
+    vmin       lower colour limit; None for the default
+    vmax       upper colour limit; None for the default
     title      True if the figure has a title
     explained  True if the figure has a legend
     rc         settings of Matplotlib
@@ -94,7 +94,7 @@ class FigureLayout:
 
     @property
     def has_side_legend(self) -> bool:
-        """True if a legend fits beside the plot."""
+        """True if the figure is wide enough for a legend beside its plot."""
         return self.width >= _BESIDE * self.scale
 
     @property
@@ -109,20 +109,23 @@ class FigureLayout:
 
     @property
     def map_pixels(self) -> tuple[int, int]:
-        """Size (x, y), in pixels, of a map's plot; finer cells are read from an overview."""
+        """Number of pixels (x, y) of a map's plot; an atlas with more cells is drawn from an overview."""
         dots = self.dpi / DPI
         width, tall = (mine / standard for mine, standard in zip(self.map_size, STANDARD.map_size, strict=True))
         return max(1, round(_PIXELS[0] * width * dots)), max(1, round(_PIXELS[1] * tall * dots))
 
     def plot_size(self, height: float) -> tuple[float, float]:
-        """Return the nominal width and height of the plot in points, before the figure is laid out."""
+        """Return the approximate width and height of the plot in points, before the figure is laid out.
+
+        ``height`` is the default height of the figure in inches.
+        """
         if self.axes:
             extent, dots = self.axes[0].get_window_extent(), _root(self.axes[0]).dpi
             return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
         return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
 
     def context(self) -> AbstractContextManager[None]:
-        """Return a context with Matplotlib's settings for this layout, which are restored at the end."""
+        """Return a context with this layout's settings of Matplotlib; its end restores the former settings."""
         settings: Any = rc_params(self.scale)
         if self.axes:  # given axes have a type size already
             settings = {name: settings[name] for name in _OURS}
@@ -131,7 +134,7 @@ class FigureLayout:
         return drawing_context(settings | dict(self.rc))
 
     def figure(self, height: float) -> Figure:
-        """Return an empty figure with room for texts outside its axes; ``height`` is the default."""
+        """Return an empty figure with room for texts outside its axes; ``height`` is its default height in inches."""
         size, dpi = (self.width, self.height or height), self.dpi if self.dpi != DPI else None
         color = self.rc.get("figure.facecolor", "white")
         drawn = NotebookFigure(figsize=size, layout="constrained", facecolor=color, dpi=dpi)
@@ -139,9 +142,10 @@ class FigureLayout:
         return drawn
 
     def panels(self, height: float, count: int, title: str) -> tuple[Figure, list[Axes]]:
-        """Return a figure with ``count`` plots over one shared axis, or the given axes, under a title.
+        """Return a figure with ``count`` plots over one shared axis, and the plots, under a title.
 
-        Raise InputError for another number of given axes.
+        If the layout has axes, these are the plots. Raise InputError if their number is not ``count``. ``height`` is
+        the default height of the figure in inches.
         """
         if self.axes and len(self.axes) != count:
             raise InputError(f"ax: found {len(self.axes)} axes, must be {count}, one for each plot")
@@ -160,7 +164,7 @@ class FigureLayout:
             fig.suptitle(title, fontsize=size, ha="left", x=0.012, **style).set_gid(TITLE)
 
     def ends(self, low: float, high: float) -> tuple[float, float]:
-        """Return the colour limits: vmin and vmax, or else ``low`` and ``high``.
+        """Return the colour limits: vmin and vmax of the layout, or else ``low`` and ``high``.
 
         Raise InputError unless the limits increase.
         """
@@ -171,7 +175,7 @@ class FigureLayout:
         return low, high
 
     def check_no_limits(self, reason: str) -> None:
-        """Raise InputError, with this reason, if colour limits are given."""
+        """Raise InputError if colour limits are given for a picture without a colour scale, named by ``reason``."""
         if self.vmin is not None or self.vmax is not None:
             raise InputError(f"{reason}: there are no colour limits for vmin and vmax to set")
 
@@ -222,13 +226,13 @@ class FigureLayout:
             fig.set_size_inches(self.width, fig.get_size_inches()[1] + dots / fig.dpi)
 
     def wrap_texts(self, fig: Figure) -> None:
-        """Break labels and titles that are longer than the figure into lines, except in given axes."""
+        """Break labels and titles that are longer than the figure into lines. Axes given by the user are left alone."""
         if not self.axes:
             with self.context():
                 wrap_texts(fig)
 
     def finalize(self, fig: Figure) -> None:
-        """Fit the texts and lay the figure out: its plots then have their final size."""
+        """Break long texts and lay the figure out, after which its plots have their final size."""
         self.wrap_texts(fig)
         fig.draw_without_rendering()
 
@@ -237,7 +241,7 @@ STANDARD = FigureLayout()
 
 
 def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
-    """Return the layout with these options, see ``ScaleOptions``.
+    """Return the figure layout with the given options, see ``ScaleOptions``.
 
     ``ax`` are the axes to draw into, for a sweep one for each plot. Raise InputError for an invalid length, size or
     resolution, and for an unreadable style.
@@ -312,9 +316,9 @@ def _length(name: str, value: float | str | None) -> float | None:
 
 
 def _number(name: str, value: float | None, positive: bool = False) -> float | None:
-    """Return a finite number, or None; with ``positive`` the number must be positive and not too large.
+    """Return an option's value as a finite number, None if it is None.
 
-    Raise InputError for any other value.
+    With ``positive`` the number must be positive and at most 10 000. Raise InputError for any other value.
     """
     if value is None:
         return None
@@ -334,12 +338,12 @@ CURRENT = "current"
 _LEAST_DOTS = 4.0
 """Minimum size of a letter in dots: an index of an index is half as large and needs a dot."""
 _OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
-"""Settings of the type that also apply to given axes."""
+"""Settings of Matplotlib that the layout sets even for given axes."""
 _SIZES = tuple(name for name in rc_params(1.0) if name.endswith("size"))
 
 
 def _style(style: str | Path | None) -> dict[str, Any]:
-    """Return the settings of a style, without those of windows and of the figure's layout."""
+    """Return the Matplotlib settings of a style, without those of windows and of the figure's layout."""
     if style is None:
         return {}
     if not isinstance(style, str | os.PathLike):
@@ -365,9 +369,10 @@ def _style(style: str | Path | None) -> dict[str, Any]:
 
 
 def _make_room(fig: Figure) -> None:
-    """Give a figure without a layout engine room for a legend beside or under its plots, which otherwise is cut off.
+    """Give a user's figure without a layout engine room for a legend beside or under its plots.
 
-    The tight engine tolerates a later ``tight_layout`` or ``subplots_adjust``. Axes at explicit positions stay there.
+    Without room the legend would be cut off. The tight engine tolerates a later ``tight_layout`` or
+    ``subplots_adjust``. Axes at explicit positions stay there.
     """
     if fig.get_layout_engine() is None and all(ax.get_subplotspec() is not None for ax in fig.axes):
         fig.set_layout_engine("tight")

@@ -1,4 +1,4 @@
-"""Drawing a map: read the cells, apply the layers, draw overlays, colorbar, legend and labels."""
+"""Drawing a map as a figure: reading the cells, drawing its layers, overlays, colorbar, legend and labels."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ LABEL_SIZE = 7.5
 
 
 def draw_layers(view: MapView, layers: MapLayers) -> Figure:
-    """Return the map of a view as a figure, with its overlays."""
+    """Return the figure of a map with its overlays; ``layers`` are the styles, numbers and hatches of its cells."""
     request, page, layers = view.request, view.page, with_legend_notes(layers, view.ds)
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(view.ds))
@@ -43,7 +43,7 @@ def draw_layers(view: MapView, layers: MapLayers) -> Figure:
 def read(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> MapView:
     """Read the variables and regimes that a map and its overlays need, at most at the resolution of the pixels.
 
-    Raise InputError if the atlas lacks one. No other function of maps reads an atlas.
+    Raise InputError if the atlas lacks one of the variables. No other function of maps reads an atlas.
     """
     names = [*kind.variables] if request.variable is None else [request.variable]
     kind.require(ds, names)
@@ -52,7 +52,7 @@ def read(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> MapView:
 
 
 def lay(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> list[Artist]:
-    """Draw the layers of a map into a plot, and return its legend entries."""
+    """Draw the layers of a map into the plot ``ax``, and return the artists for its legend."""
     enlarged = raster.draw_cells(ax, plane, layers, layout)
     for texture in layers.textures:
         raster.hatch(ax, plane, texture.cells, texture.hatch, texture.hatch_color)
@@ -73,9 +73,10 @@ def lay(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> list
 
 
 def with_legend_notes(layers: MapLayers, ds: xr.Dataset) -> MapLayers:
-    """Return layers whose legend names regimes in the words of the atlas's machine.
+    """Return the layers of a map with a legend that names regimes in the words of the atlas's system.
 
-    The legend also notes that cells without a result may have too few attractors for the selected one.
+    If the atlas shows, say, the third attractor of each cell, the legend says of cells without a result that they may
+    have fewer attractors.
     """
     labels = {meaning.code: meaning.text for meaning in text.regime(ds).codes}
     if ds.attrs.get(ATTRACTOR, 0):
@@ -85,9 +86,9 @@ def with_legend_notes(layers: MapLayers, ds: xr.Dataset) -> MapLayers:
 
 
 def name_regions(ax: Axes, plane: Plane, named: Sequence[Class], type_size: float) -> None:
-    """Write the labels of classes of cells into their largest regions, see ``places``.
+    """Write the names of classes of cells into their largest regions of a map, as ``places`` finds positions for them.
 
-    The plot must have its final size.
+    The plot must have its final size. ``type_size`` is in points.
     """
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
     even_index = np.ix_(rows, columns)

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class FigureOptions(TypedDict, total=False):
-    """Options of every picture."""
+    """Options of every picture: size, type, resolution, title, legend and style."""
 
     width: Annotated[
         float | str | None,
@@ -64,7 +64,7 @@ class AtlasFigureOptions(_AtlasOnlyOptions, ScaleOptions, total=False):
 
 
 def split_look(named: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Return the options of a picture among these arguments, and the other arguments."""
+    """Return the options of a picture among keyword arguments, and the other arguments."""
     look = {name: value for name, value in named.items() if name in FigureOptions.__annotations__}
     return look, {name: value for name, value in named.items() if name not in look}
 
@@ -83,10 +83,10 @@ _DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title"
 
 
 def accepts_options(options: type, others: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Return a decorator that adds these keyword arguments to a function with ``**options: Unpack[options]``.
+    """Return a decorator for a function with ``**options: Unpack[options]``, which adds the options to its signature.
 
-    The arguments appear in the function's signature and docstring. A call with another option raises InputError with
-    all possible ones, unless the function takes ``others``.
+    The options also appear in the function's docstring. A call with another option raises InputError with all possible
+    options, unless the function takes ``others``.
     """
     annotations: dict[str, Any] = options.__annotations__
 

@@ -1,4 +1,4 @@
-"""Preparation of cells for borders: without clouds of small regions, and without dust."""
+"""Finding the borders between regions of cells that a map can show, without small regions that would turn it black."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,21 +10,23 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
 MIN_REGION_SHARE = 2e-4
-"""Fraction of the plane below which a connected region is small."""
+"""Share of the cells of a plane below which a connected region of cells counts as small."""
 _SEEN = 5.0
 """Width of a cell, in points, above which its colour is visible inside an outline, even among many outlines."""
 _CLOUD, _DENSE = 12.0, 0.2
 """Radius in points, and maximum fraction of the area within it that small regions may cover.
 
-Beyond it they are a cloud, which outlines would turn black.
+Denser small regions are a cloud, which their outlines would turn black.
 """
 
 
 def simplify_regimes(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArray[np.int16], bool]:
-    """Return the regimes whose borders are drawn on a map of ``size`` (width, height) in points, and True if
-    simplified.
+    """Return the regimes (y, x) between which borders are drawn, and True if some were changed.
 
-    Clouds of small regions are left out: they take the nearest regime. Isolated cells stay.
+    regime  (y, x) codes of the regimes
+    size    width and height of the map in points
+
+    Clouds of small regions, whose borders would turn black, take the nearest regime outside. Isolated cells stay.
     """
     points = np.array(size[::-1]) / regime.shape  # height and width of a cell
     small = np.zeros(regime.shape, dtype=bool)
@@ -43,7 +45,10 @@ def simplify_regimes(regime: NDArray[np.int8], size: tuple[float, float]) -> tup
 
 
 def without_dust(cells: Cells) -> Cells:
-    """Return the cells without parts that are too thin to see, as between basins: outlined they would turn black."""
+    """Return a mask of cells without its parts that are too thin to see, which an outline would turn black.
+
+    Such parts lie, for example, between basins.
+    """
     thin = min(cells.shape) // 150
     if thin == 0:
         return cells
@@ -54,7 +59,10 @@ def without_dust(cells: Cells) -> Cells:
 
 
 def row_rectangles(cells: Cells, x: Array, y: Array) -> Array:
-    """Return the runs of cells in each row as closed rectangles (N, 5, 2); ``x`` and ``y`` are the cell edges."""
+    """Return the runs of cells in each row of a mask as closed rectangles (N, 5, 2).
+
+    ``x`` and ``y`` are the cell edges.
+    """
     change = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, first = np.nonzero(change == 1)
     _, last = np.nonzero(change == -1)
@@ -63,7 +71,10 @@ def row_rectangles(cells: Cells, x: Array, y: Array) -> Array:
 
 
 def borders(cells: Cells, x: Array, y: Array) -> Array:
-    """Return the border of a set of cells as segments (N, 2, 2) along cell edges, without the frame of the plane."""
+    """Return the border of a mask of cells as segments (N, 2, 2) along cell edges, without the frame of the plane.
+
+    ``x`` and ``y`` are the cell edges.
+    """
     rows, columns = np.nonzero(cells[:, 1:] != cells[:, :-1])
     upright = np.stack([x[columns + 1], y[rows], x[columns + 1], y[rows + 1]], axis=1)
     rows, columns = np.nonzero(cells[1:] != cells[:-1])
@@ -72,7 +83,7 @@ def borders(cells: Cells, x: Array, y: Array) -> Array:
 
 
 def small_regions(cells: Cells, x: Array, y: Array, step: Array, limit: float) -> Array:
-    """Return the centres (N, 2) of connected regions whose width and height are both below ``limit``.
+    """Return the centres (N, 2) of the connected regions of a mask whose width and height are both below ``limit``.
 
     ``x`` and ``y`` are the cell edges, ``step`` the height and width of a cell in the unit of ``limit``.
     """
@@ -82,10 +93,11 @@ def small_regions(cells: Cells, x: Array, y: Array, step: Array, limit: float) -
 
 
 def interleave_exponents(spectrum: Array, width: float) -> NDArray[np.bool_]:
-    """Return the mask (n, m) of exponents drawn on top along a sweep.
+    """Return which Lyapunov exponents are drawn on top along a sweep, as a mask (n, m).
 
-    An exponent is on top if no other lies within ``width`` of it. Exponents closer than ``width`` take turns along the
-    sweep, so that their points alternate like the strands of a braid.
+    ``spectrum`` (n, m) are the m exponents of n cells. An exponent is on top if no other lies within ``width`` of it.
+    Exponents closer than ``width`` take turns along the sweep, so that their points alternate like the strands of a
+    braid.
     """
     n, m = spectrum.shape
     stretch = np.arange(n) // max(1, n // 60)

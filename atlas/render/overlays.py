@@ -36,17 +36,17 @@ from atlas.robustness.saddles import saddles_in
 Array = NDArray[np.float64]
 
 _CROWDED = 5.0
-"""Distance in points below which two grazing lines are solid: adjacent dashes look like a bar code."""
+"""Distance in points below which two grazing lines are drawn solid: adjacent dashes look like a bar code."""
 BOUNDARY = "#101418"
 """Colour of regime boundaries."""
 CASING = {False: 1.5, True: 0.7}
-"""Extra width of the white casing of a curve over a map, by whether another curve runs beside it."""
+"""Extra width, in points, of the white edge of a curve over a map, by whether another curve runs beside the curve."""
 _WIDTHS = {False: 1.1, True: 0.75}
 """Width in points of a curve, by whether another curve runs beside it."""
 _CROWDING_DISTANCE = 6.0
 """Maximum distance in points at which two curves crowd each other."""
 _MARK, _END = 4.6, 2.6
-"""Size in points of the mark of a point of codimension two, and of an end."""
+"""Sizes, in points, of the marks of a point of codimension two and of the end of a curve."""
 _FEW, _SMALLEST = 12, 0.6
 """Number of marks from which on they are drawn smaller, and their minimum relative size."""
 _MERGE_DISTANCE = 1.0
@@ -54,7 +54,10 @@ _MERGE_DISTANCE = 1.0
 
 
 def draw(ax: Axes, view: MapView) -> list[Artist]:
-    """Draw overlays over a map and return their legend entries. Raise OverlayError for one that cannot be drawn."""
+    """Draw the requested overlays over a map and return their legend entries.
+
+    Raise OverlayError if an overlay cannot be drawn.
+    """
     entries: list[Artist] = []
     for name, lines in DRAW.items():
         if name in view.request.overlays:
@@ -71,7 +74,7 @@ def lines_of_grazing(view: MapView) -> list[Array]:
 
 
 def grazing_label(view: MapView, lines: list[Array]) -> str:
-    """Return the legend entry of these lines."""
+    """Return the text of the legend for the grazing lines ``lines`` of a map."""
     x, y = view.plane.x, view.plane.y
     symmetric = machine.twins_everywhere(view.ds, {x.name: x.values, y.name: y.values})
     label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"
@@ -105,7 +108,10 @@ def _curves(ax: Axes, view: MapView) -> list[Artist]:
 
 
 def requested_curves(view: MapView, who: str) -> list[Curve]:
-    """Return the curves requested on a map. Raise InputError if ``who`` needs curves and there are none."""
+    """Return the stored curves of the kinds that are requested on a map.
+
+    Raise InputError, in the name of ``who``, if the atlas has no curves or curves over other axes.
+    """
     try:
         stored = queries.curves_of(view.ds)
     except InputError as error:
@@ -117,9 +123,10 @@ def requested_curves(view: MapView, who: str) -> list[Curve]:
 
 
 def draw_curves(ax: Axes, curves: list[Curve], view: MapView) -> list[Artist]:
-    """Draw curves, each kind in its own colour and line style, and return the legend entries of the visible ones.
+    """Draw stored curves over a map, each kind in its own colour and line style, and return their legend entries.
 
-    Lines and casings of crowded curves are thinner, to show the map between them.
+    Only visible curves have an entry. Where curves run side by side, they and their white edges are thinner, to show
+    the map between them.
     """
     size, scale = view.page.map_size, view.page.scale
     every = [(curve.kind, line) for curve in curves for line in curve.stable_lines]
@@ -156,7 +163,11 @@ def draw_curves(ax: Axes, curves: list[Curve], view: MapView) -> list[Artist]:
 def _draw_marks(
     ax: Axes, places: Iterable[Any], size: tuple[float, float], gid: str, zorder: float, style: dict[str, Any]
 ) -> list[Artist]:
-    """Mark the visible positions (x, y), coinciding ones once, and return the legend entry."""
+    """Mark the visible positions among ``places`` (x, y), and return their legend entry, empty if none is visible.
+
+    Positions that coincide get one mark. ``size`` is the size of the plot in points; ``gid`` and ``style`` are the
+    group name and the arguments of ``Axes.plot``.
+    """
     marked: list[Array] = []
     for x, y in places:
         at = raster.in_points(ax, np.array([[x, y]]), size)[0]

@@ -1,4 +1,7 @@
-"""The values of each cell in the upper plot of a sweep: the gap coordinate at sections, or an observable."""
+"""The values in the upper plot of a sweep: the gap coordinate at t = k T for each cell, or an observable.
+
+They are called section values at the times t = k T, the start of each forcing period.
+"""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -24,16 +27,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlottedValues:
-    """The plotted values: an observable, or None for section values, which every atlas with ``section_samples`` has."""
+    """The values that a sweep plots: those of an observable, or section values if ``observable`` is None.
+
+    Section values, the gap coordinate at t = k T, exist in every atlas with ``section_samples``.
+    """
 
     observable: Observable | None = None
 
     @classmethod
     def resolve(cls, requested: str | None, *atlases: "xr.Dataset") -> "PlottedValues | None":
-        """Return the named observable, else section values, else the first observable that all of these atlases have,
-        else None.
+        """Return the values to plot: the observable ``requested``, or the first choice that all of these atlases have.
 
-        Raise InputError for an observable that an atlas lacks.
+        The first choice is section values, then observables in the order of the first atlas. Return None if there is no
+        common choice. Raise InputError for a requested observable that an atlas lacks.
         """
         if requested is None and all(SECTION.name in ds and ds[SECTION.name].size for ds in atlases):
             return cls()
@@ -55,26 +61,26 @@ class PlottedValues:
 
     @property
     def name(self) -> str:
-        """The name of the variable."""
+        """The name of the variable that holds the values."""
         return SECTION.name if self.observable is None else self.observable.variable
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """The names of the variables that are read."""
+        """The names of the variables that must be read to plot the values."""
         return (self.name,) if self.observable is None else (self.name, self.observable.number)
 
     def values(self, ds: "xr.Dataset", x: "PlaneAxis") -> NDArray[np.float64]:
-        """Return the values (N, K) along a sweep."""
+        """Return the values (N, K) of the N cells along a sweep, up to K for each."""
         if self.observable is None:
             return machine.gap_values(ds, x.name, ds[self.name])
         return np.asarray(ds[self.name].values)
 
     def label(self, ds: "xr.Dataset") -> str:
-        """Return the label of the axis."""
+        """Return the label of the values' axis."""
         return shown_label(self.observable, stored_system(ds.attrs))
 
     def notes(self, ds: "xr.Dataset") -> list[Any]:
-        """Return legend entries with the number of orbits of which only the first values are stored."""
+        """Return legend entries that count the orbits of which only the first values are stored."""
         if self.observable is None or self.observable.number not in ds:
             return []
         number, n_stored = ds[self.observable.number].values, ds[self.name].shape[-1]
@@ -86,7 +92,7 @@ class PlottedValues:
 
 
 def atlas_observables(ds: "xr.Dataset") -> tuple[Observable, ...]:
-    """Return the observables of an atlas, from its spec."""
+    """Return the observables that an atlas stores, from its spec."""
     system, observe = stored_system(ds.attrs), stored_spec(ds.attrs).get("solve", {}).get("observe", "")
     if system is None or not observe:
         return ()
@@ -94,7 +100,7 @@ def atlas_observables(ds: "xr.Dataset") -> tuple[Observable, ...]:
 
 
 def shown_label(observable: Observable | None, system: System | None) -> str:
-    """Return the axis label of an observable, in two lines with its unit, or of section values."""
+    """Return the axis label of an observable, in two lines with its unit; of section values if it is None."""
     if observable is None:
         return text.gap_label(system)
     link = "at" if observable.kind.startswith("impact") else "of"

@@ -1,4 +1,4 @@
-"""The portrait of a cell: time histories, phase planes, section, and convergence of the exponents."""
+"""The portrait of a cell as a figure: time histories, phase planes, Poincare section, convergence of exponents."""
 
 from typing import Any, NamedTuple
 
@@ -31,9 +31,9 @@ _IN_A_COLUMN = 7
 
 
 class PortraitCoordinate(NamedTuple):
-    """A displacement in a portrait.
+    """A displacement that a portrait shows: a combination of the coordinates x of the machine.
 
-    row    displacement row . x, with the velocity row . x'
+    row    coefficients of the displacement row . x, whose velocity is row . x'
     label  label of the displacement, with its unit
     rate   label of the velocity, with its unit
     stops  positions of its stops
@@ -45,14 +45,14 @@ class PortraitCoordinate(NamedTuple):
     stops: tuple[float, ...]
 
     def project(self, states: Array) -> tuple[Array, Array]:
-        """Return the displacement and the velocity (N,) of states (N, 2n)."""
+        """Return the displacement and the velocity, (N,) each, of states (N, 2n)."""
         return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
 
 def figure(orbit: CellTrajectory, layout: FigureLayout = STANDARD) -> Figure:
-    """Return the portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
+    """Return the portrait of an orbit as a figure with the panels of Figs 3 to 5 of Li & Tan (2011).
 
-    If the cell has observables, the return map of the first one replaces the section.
+    If the cell has observables, the return map of the first one replaces the Poincare section.
     """
     masses = [_shown(orbit, row) for row in selection.displacements(orbit)]
     planes: list[tuple[PortraitCoordinate, PortraitCoordinate | None]] = [(mass, None) for mass in masses]
@@ -95,9 +95,15 @@ def figure(orbit: CellTrajectory, layout: FigureLayout = STANDARD) -> Figure:
 
 
 def _mosaic(wide: bool, masses: int, planes: int, chatter: bool, many: bool) -> tuple[list[list[str]], list[float]]:
-    """Return the plots by name in rows of 6 columns, 2 in a narrow figure, and the heights of the rows.
+    """Return the names of a portrait's plots in a grid, by rows, and the relative heights of the rows.
 
-    In a wide figure phase planes are side by side, and the section is beside the exponents.
+    wide     True for a grid of 6 columns, with phase planes side by side, False for 2 columns
+    masses   number of time histories
+    planes   number of phase planes
+    chatter  True if there is an enlarged chatter
+    many     True if many exponents are written as numbers
+
+    In a wide figure the Poincare section is beside the exponents.
     """
     histories = [f"history {k}" for k in range(masses)]
     pairs = [f"plane {k}" for k in range(planes)]
@@ -138,7 +144,10 @@ def _history(ax: Axes, orbit: CellTrajectory, coordinate: PortraitCoordinate) ->
 
 
 def _zoom(ax: Axes, orbit: CellTrajectory, chatter: slice) -> None:
-    """Draw the distance from the stop during a chatter, whose flights become ever shorter and lower."""
+    """Draw the distance from the stop during a chatter: impacts with ever shorter and lower flights between.
+
+    ``chatter`` is the slice of the orbit's impacts.
+    """
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     times, away, ends, highest = selection.enlarged(orbit, chatter)
     ax.plot(times, away, color=LINE, linewidth=0.9)
@@ -172,7 +181,7 @@ def _phase_plane(
 
 
 def _section(ax: Axes, orbit: CellTrajectory) -> None:
-    """Draw the gap coordinate and its velocity at the section."""
+    """Draw the Poincare section: the gap coordinate and its velocity at t = k T, or at an event of a limit cycle."""
     projection = _shown(orbit, orbit.gap_row)
     x, y = projection.project(orbit.section)
     few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
@@ -189,7 +198,7 @@ def _section(ax: Axes, orbit: CellTrajectory) -> None:
 
 
 def _return_map(ax: Axes, orbit: CellTrajectory, observable: Observable) -> None:
-    """Draw each value of an observable against the next one, in place of the section."""
+    """Draw each value of an observable against the next one; this plot replaces the Poincare section."""
     values = orbit.cell[observable.variable]
     values = values[np.isfinite(values)]
     if int(orbit.cell["period"]) and int(orbit.cell[observable.number]) == len(values):  # the whole turn is known
@@ -220,7 +229,7 @@ def _convergence(ax: Axes, orbit: CellTrajectory) -> None:
 
 
 def _write_values(ax: Axes, orbit: CellTrajectory, columns: int) -> None:
-    """Write the exponents as numbers, with all known digits, into a separate plot area."""
+    """Write the exponents as numbers, with all known digits, into an empty plot area, in ``columns`` columns."""
     ax.set_axis_off()
     error, written = float(orbit.cell["error"]), selection.written(orbit)
     unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED

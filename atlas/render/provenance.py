@@ -1,4 +1,4 @@
-"""Writing pictures to files: formats, and metadata with the source of the numbers."""
+"""Writing pictures to files, with metadata that tell where the numbers are from."""
 
 import json
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ UNKNOWN = "unknown"
 
 
 class Provenance(NamedTuple):
-    """The source of the numbers of a picture.
+    """Where the numbers of a picture are from.
 
     title     title of the picture
     digest    digest of the spec
@@ -43,7 +43,7 @@ class Provenance(NamedTuple):
 
 
 def check_path(path: str | Path) -> str:
-    """Return the format of a picture's file; call it before long work.
+    """Return the format of a picture's file, by its suffix. Call this function before long work.
 
     Raise InputError for an unknown suffix, and if the file cannot be written.
     """
@@ -51,15 +51,19 @@ def check_path(path: str | Path) -> str:
 
 
 def save(fig: "Figure", target: Path, provenance: Provenance, layout: "FigureLayout") -> None:
-    """Write a figure with its provenance. Raise InputError if that fails: an older picture then remains."""
+    """Write a figure to the file ``target`` with its provenance.
+
+    Raise InputError if the file cannot be written: an older picture then remains.
+    """
     suffix = check_path(target)
     with replace_on_success(target) as unfinished, layout.context():
         fig.savefig(unfinished, format=suffix, metadata=metadata(provenance, suffix))
 
 
 def provenance_of(*subjects: "xr.Dataset | CellTrajectory | BranchTable") -> Provenance:
-    """Return the provenance of a picture of an atlas, an orbit or branches; of several atlases their differences in
-    order.
+    """Return the provenance of a picture of an atlas, an orbit or branches.
+
+    For several atlases it names their digests and solver versions in order, and is otherwise that of the first.
     """
     every = [_of_one(subject) for subject in subjects]
     solvers = dict.fromkeys(one.solver for one in every)
@@ -72,7 +76,7 @@ def provenance_of_values(title: str, spec: Mapping[str, Any], digest: str = "non
 
 
 def metadata(provenance: Provenance, suffix: str) -> dict[str, str | None]:
-    """Return the provenance under the names of a format, for ``Figure.savefig``.
+    """Return the provenance under the names that the file format ``suffix`` has for it, for ``Figure.savefig``.
 
     There is no date: equal pictures are equal files.
     """

@@ -1,4 +1,4 @@
-"""Drawing cells and axes in a plot: colours from edge to edge, hatches, borders, marks of cells that are too small."""
+"""Drawing the cells of a map into a plot: colours from edge to edge, hatches, borders, and marks on tiny cells."""
 
 import math
 from collections.abc import Sequence
@@ -23,18 +23,20 @@ from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
 VISIBLE = 2.0
 """Size in points below which a single cell is invisible."""
 MAX_MARKS = 300
-"""Maximum number of marks of such cells: more cells are visible as a cloud anyway."""
+"""Maximum number of cells of a regime that are marked because they are too small to be seen.
+
+More cells are visible as a cloud anyway.
+"""
 _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
 MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
 def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> set[int]:
-    """Draw the cells of a map from edge to edge, as pixels also in vector files, and return the codes of enlarged
-    regimes.
+    """Draw the cells of a map from edge to edge, as pixels also in vector files.
 
-    Equal cells are drawn as an image, others as quadrilaterals. Colours are never blended between cells. A cell that
-    looks like its regime has the regime's hatch. Cells without a result that would be invisible get a mark of visible
-    size.
+    Return the codes of the regimes whose tiny cells were enlarged by marks. Equal cells are drawn as an image, others
+    as quadrilaterals. Colours are never blended between cells. A cell in the colour of its regime has the regime's
+    hatch. Cells without a result that would be invisible get a mark of visible size.
     """
     x, y = plane.x, plane.y
     # Pending cells are transparent and show this hatch.
@@ -56,9 +58,10 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) 
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
-    """Mark small cells of a class, and return True if there are marks.
+    """Mark the cells of a regime that are too small to be seen, and return True if there are marks.
 
-    There are none if the cells are visible anyway, or too many.
+    There are no marks if all cells are large enough, or if too many would be marked. ``size`` is the size of the plot
+    in points.
     """
     step = np.array(size[::-1]) / plane.regime.shape
     if step.max() >= VISIBLE:
@@ -80,22 +83,22 @@ def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> No
 
 
 def outline(ax: Axes, plane: Plane, inside: Cells, color: str, width: float) -> None:
-    """Draw the border of a set of cells along the cells' edges, without the picture's own frame."""
+    """Draw the border of a set of cells along the cells' edges, without the frame of the plane."""
     ends = list(borders(inside, plane.x.edges, plane.y.edges))
     lines = LineCollection(ends, colors=color, linewidths=width, capstyle="projecting", rasterized=True)
     ax.add_collection(lines, autolim=False)
 
 
 def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return data coordinates in points from the lower left corner of the plot, by its nominal size.
+    """Return data coordinates (N, 2) in points from the lower left corner of the plot.
 
-    They are approximately the coordinates after the layout.
+    ``size`` is the expected size of the plot, so the result is approximate until the figure is laid out.
     """
     return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
 
 
 def scale_axes(ax: Axes, labels: bool = True, **axes: PlaneAxis) -> None:
-    """Set scales, limits and ticks of the axes ``x`` and ``y`` of a plot, and with ``labels`` their labels."""
+    """Set scale, limits and ticks of the axes ``x`` and ``y`` of a plot, and with ``labels`` their labels."""
     for name, axis in axes.items():
         if axis.log:
             ax.set(**{f"{name}scale": "log"})
@@ -108,7 +111,7 @@ def scale_axes(ax: Axes, labels: bool = True, **axes: PlaneAxis) -> None:
 
 
 def plain_ticks(axis: mpl_axis.Axis, steps: Sequence[float]) -> None:
-    """Label a logarithmic axis at these multiples of powers of ten, in plain numbers: 0.02, 5, 2000, 20 000."""
+    """Label a logarithmic axis at the multiples ``steps`` of powers of ten, in plain numbers: 0.02, 5, 2000, 20 000."""
 
     def plain(value: float, _: int) -> str:
         return f"{value:,g}".replace(",", "\N{NARROW NO-BREAK SPACE}") if value >= 1e4 else f"{value:g}"

@@ -1,4 +1,4 @@
-"""The request for a picture of an atlas: its validated arguments, and the kind and overlays that fit."""
+"""The request for a picture of an atlas: its validated arguments, and the choice of a kind and overlays that fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,16 +35,16 @@ class PictureRequest:
     """The validated arguments of ``atlas.render.figure`` for an atlas.
 
     page      layout of the figure
-    kind      name of the kind, None for the default
+    kind      name of the kind; None for the default
     window    (low, high) limits by axis
     overlays  names of overlays
-    curves    kinds of exact curves, None for all
-    names     True for labels and levels on a map
-    against   second sweep
+    curves    kinds of exact curves; None for all
+    names     True for labels of points, motions and lines on a map
+    against   dataset of a second sweep, drawn over the first
     pixels    size (x, y) of the plot area
     variable  variable to map
     log       True for a logarithmic norm
-    observe   observable of a sweep
+    observe   observable that a sweep shows
     """
 
     page: "FigureLayout"
@@ -97,7 +97,10 @@ class PictureRequest:
 
 
 def resolve_kind(ds: "xr.Dataset", request: PictureRequest) -> PictureKind:
-    """Return the kind to draw: the named one, or the first that fits. Raise InputError if it does not fit."""
+    """Return the kind of picture to draw: the requested one, or the first that fits the atlas.
+
+    Raise InputError if the requested kind does not fit.
+    """
     axes, atlases, axes_found = len(axis_names(ds)), 1 if request.against is None else 2, found_axes(ds)
     if request.kind == SCALAR or request.variable is not None or request.log:
         _check_scalar(ds, request)
@@ -121,7 +124,7 @@ def resolve_kind(ds: "xr.Dataset", request: PictureRequest) -> PictureKind:
 
 
 def _check_scalar(ds: "xr.Dataset", request: PictureRequest) -> None:
-    """Raise InputError unless the named variable has one number per cell of a plane."""
+    """Raise InputError unless the requested variable can be mapped: one number per cell of an atlas with two axes."""
     name = request.variable
     if request.kind not in (None, SCALAR):
         raise InputError(f"a variable or a logarithmic norm needs kind {SCALAR!r}, found {request.kind!r}")
@@ -138,7 +141,7 @@ def _check_scalar(ds: "xr.Dataset", request: PictureRequest) -> None:
 
 
 def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return the named kinds of curves, from a list, a text with commas, or "all"; None for no curves."""
+    """Return the kinds of curves that an option names, from a list, a text with commas, or "all"; None if not given."""
     if curves is None:
         return None
     if isinstance(curves, str) and curves == "all":
@@ -149,7 +152,7 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
 
 
 def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
-    """Raise InputError unless all names are overlays for this number of axes."""
+    """Raise InputError unless all names are overlays that an atlas with this number of axes can have."""
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")

@@ -1,4 +1,7 @@
-"""Maps of numbers, each with a colormap and a labelled colorbar."""
+"""Maps that colour cells by a number, each with a colormap and a labelled colorbar.
+
+The functions return layers: styles, numbers and hatches of cells, from which a figure is drawn.
+"""
 
 import math
 from collections.abc import Sequence
@@ -31,12 +34,12 @@ BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
 _LOG_TICKS = 8
 """Maximum number of ticks of a logarithmic colorbar."""
 NEUTRAL = "#e4e2d6"
-"""Colour of cells with known motion but without such a number, and of zero with a logarithmic norm."""
+"""Colour of cells whose motion is known but has no value of the mapped variable, and of 0 with a logarithmic norm."""
 
 
 @cache
 def colormap_of(colors: tuple[str, ...], steps: int = 512) -> LinearSegmentedColormap:
-    """Return a colormap with these colours at even steps, interpolated between."""
+    """Return a colormap of ``steps`` colours, interpolated between the given colours, which are evenly spaced."""
     return LinearSegmentedColormap.from_list("scale", colors, N=steps)
 
 
@@ -51,7 +54,7 @@ CHAOS = colormap_of(kinds.CHAOTIC)
 def exponent(view: MapView, norm: TwoSlopeNorm | None = None) -> MapLayers:
     """Return the layers of the chaos map: the largest Lyapunov exponent, blue if stable, orange to dark red for chaos.
 
-    ``norm`` is common to several maps. Impact-free cells have exponents too, and a hatch.
+    ``norm`` is given if several maps share their colour limits. Impact-free cells have exponents, too, and a hatch.
     """
     regime, largest = view.plane.regime, view.plane.known_values(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
@@ -65,7 +68,10 @@ def exponent(view: MapView, norm: TwoSlopeNorm | None = None) -> MapLayers:
 
 
 def two_sided(layout: FigureLayout, low: float, high: float) -> TwoSlopeNorm:
-    """Return the norm between these limits, or those of the layout. Raise InputError unless zero is between them."""
+    """Return the norm of exponents between ``low`` and ``high``, or the limits that the layout sets.
+
+    Raise InputError unless zero lies between the limits.
+    """
     low, high = layout.ends(low, high)
     if not low < 0.0 < high:
         raise InputError(f"colour limits of exponents: found {low:g} to {high:g}, must have zero between them")
@@ -73,7 +79,7 @@ def two_sided(layout: FigureLayout, low: float, high: float) -> TwoSlopeNorm:
 
 
 def combined(view: MapView) -> MapLayers:
-    """Return the layers with the period of periodic motion and the largest exponent of chaotic motion."""
+    """Return the layers of a map of the period of periodic motion and the largest exponent of chaotic motion."""
     regime = view.plane.regime
     largest = np.where(regime == CHAOTIC, view.plane[LARGEST.name], np.nan)
     norm = Normalize(*view.page.ends(0.0, scale_ends(largest)[1]))
@@ -83,10 +89,11 @@ def combined(view: MapView) -> MapLayers:
 
 
 def scalar(view: MapView) -> MapLayers:
-    """Return the layers of a variable in the colours of its row in ``SCALES``, else from pale to dark.
+    """Return the layers of a map of the requested variable, in the colours of its row in ``SCALES``.
 
-    Without a logarithmic norm there are two ranges of colours around zero. Cells without such a number are NEUTRAL,
-    with a hatch for -inf. Raise InputError for a logarithmic norm of negative numbers.
+    A variable without a row is drawn from pale to dark. Unless the norm is logarithmic, there are two ranges of colours
+    around zero. Cells without such a number have the colour NEUTRAL, with a hatch for -inf. Raise InputError for a
+    logarithmic norm of negative numbers.
     """
     plane, name = view.plane, str(view.request.variable)
     scale, meant, regime = kinds.SCALES.get(name, kinds.NUMBERS), variable_of(view.ds, name), plane.regime
@@ -110,10 +117,10 @@ def scalar(view: MapView) -> MapLayers:
 
 
 def _scaled(view: MapView, field: ScalarLayer, others: Sequence[Class] = ()) -> MapLayers:
-    """Return the layers of a scalar layer, with other cells in their colours; cells without a number look like their
-    regime.
+    """Return the layers of a map: cells in the colours of their numbers, and classes of other cells.
 
-    Exponents of -inf, below any limit, have a hatch over the lowest colour.
+    Cells without a number have the colour of their regime. Exponents of -inf, below any limit, have a hatch over the
+    lowest colour.
     """
     lost, name = np.isneginf(field.values), rf"$-\infty$: {text.rest(view.ds)} erases disturbances"
     textures = [HatchLayer.on_color(field.colormap(0.0), lost, style.LOST_HATCH, name)] if lost.any() else []
@@ -121,7 +128,7 @@ def _scaled(view: MapView, field: ScalarLayer, others: Sequence[Class] = ()) -> 
 
 
 def color_norm(values: Array, log: bool, layout: FigureLayout = STANDARD) -> Normalize:
-    """Return the norm of finite values, see ``number_ends``; colour limits of the layout are kept."""
+    """Return the norm of the finite values of an array, between the limits of the layout or else of ``number_ends``."""
     low, high = layout.ends(*number_ends(values, log))
     if log and low <= 0.0:
         raise InputError(f"vmin: found {low:g}, must be positive with a logarithmic norm")
@@ -129,8 +136,9 @@ def color_norm(values: Array, log: bool, layout: FigureLayout = STANDARD) -> Nor
 
 
 def signed_colormap(norm: Normalize, above: tuple[str, ...] = kinds.NUMBERS.colors) -> Colormap:
-    """Return the colormap for a norm: zero inside its limits is pale, and both sides darken equally with the distance
-    from it.
+    """Return the colormap for a norm, pale at zero if zero lies inside its limits.
+
+    Both sides then darken equally with the distance from zero. ``above`` are the colours of positive numbers.
     """
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if not low < 0.0 < high:
@@ -140,17 +148,17 @@ def signed_colormap(norm: Normalize, above: tuple[str, ...] = kinds.NUMBERS.colo
 
 
 def both_signs(above: tuple[str, ...]) -> Colormap:
-    """Return the colormap of negative and positive numbers, pale in the middle."""
+    """Return a colormap for limits symmetric about zero, pale in the middle; ``above`` colours positive numbers."""
     return colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)
 
 
 def draw_bar(
     fig: Figure, panels: Sequence[Axes], bar: ScalarLayer, layout: FigureLayout = STANDARD, below: bool = False
 ) -> None:
-    """Draw the colorbar of plots to their right or below.
+    """Draw the colorbar of the plots ``panels`` to their right or ``below`` them.
 
-    Ends are pointed if values lie beyond the limits. The colorbar of exponents has a line at zero, where its step may
-    change.
+    Its ends are pointed if values lie beyond the limits. The colorbar of exponents has a line at zero, where the linear
+    scales of its two halves meet.
     """
     low, high = bar.ends
     values = bar.values[np.isfinite(bar.values) & (bar.values != 0.0)]  # zero has no logarithm, or its own entry
@@ -170,7 +178,7 @@ def draw_bar(
 
 
 def _ticks(low: float, high: float, limit: int) -> list[float]:
-    """Return round numbers on each half, whose steps may differ, and zero."""
+    """Return zero and round numbers from ``low`` to ``high``, with a step of its own on either side of zero."""
     nice = MaxNLocator(limit, steps=[1, 2, 2.5, 5, 10])
     both = np.concatenate([nice.tick_values(low, 0.0), nice.tick_values(0.0, high)])
     return [float(tick) for tick in np.unique(both[(both >= low) & (both <= high)].round(12))]

@@ -1,4 +1,4 @@
-"""Several atlases in one figure: the differences of two, and maps side by side with common colour limits."""
+"""Several atlases in one figure: the differences of two, or maps side by side with common colour limits."""
 
 import math
 import textwrap
@@ -39,9 +39,11 @@ _SHARE = 2.0
 
 
 def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
-    """Return two maps: exponents of the second atlas minus the first, and the second regimes where they differ.
+    """Return a figure of two maps that compare two atlases.
 
-    Without exponents there is only the second map. Raise InputError for atlases with one axis.
+    One shows the exponents of the second atlas minus those of the first, the other the regimes of the second where the
+    first has another regime. Without exponents there is only the second map. Raise InputError unless the atlases have
+    two axes.
     """
     count = len(axis_names(compared.first))
     if count != 2:
@@ -71,12 +73,14 @@ def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
 
 
 def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: Sequence[str] = ()) -> Figure:
-    """Return maps of several atlases in one figure, with common colour limits, each titled by the parameters that
-    differ.
+    """Return a figure with a map of each atlas, with common colour limits.
 
-    The kind is one of KINDS, by default the first that all atlases have; ``names`` are titles if no parameter differs.
-    Axes have the same limits. Raise InputError for fewer than two atlases, for another kind, and for different axes or
-    variables.
+    atlases   the atlases, of the same two axes
+    request   the requested picture; its kind is one of KINDS, by default the first that all atlases have
+    names     titles of the maps if no parameter differs; otherwise the titles are the parameters that differ
+
+    All maps have the same axis limits. Raise InputError for fewer than two atlases, for another kind, and for different
+    axes or variables.
     """
     kind, page = KIND_TABLE[_check(atlases, request.kind)], request.page
     if kind.name == "period":
@@ -114,7 +118,7 @@ def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: 
 
 
 def _sheet(layout: FigureLayout, count: int, limit: int) -> tuple[Figure, list[Axes], FigureLayout]:
-    """Return a figure of several plots with common axes, its plots, and the layout of one plot.
+    """Return a figure of ``count`` plots in rows, with common axes, its plots, and the layout of one plot.
 
     Rows have at most ``limit`` plots in a wide figure, one less in a narrow figure.
     """
@@ -132,7 +136,7 @@ def _sheet(layout: FigureLayout, count: int, limit: int) -> tuple[Figure, list[A
 
 
 def _label_outside(plots: Sequence[Axes]) -> None:
-    """Remove the labels of axes that have another map to their left or below."""
+    """Remove the axis labels of plots in a grid, except on the left and at the bottom."""
     grid: Any = plots[0].get_gridspec()
     for k, ax in enumerate(plots):
         if k % grid.ncols:
@@ -144,7 +148,10 @@ def _label_outside(plots: Sequence[Axes]) -> None:
 
 
 def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
-    """Return the kind to draw. Raise InputError if the atlases cannot be drawn side by side."""
+    """Return the kind of map to draw: ``kind``, or the first that all atlases have.
+
+    Raise InputError if the atlases cannot be drawn side by side.
+    """
     if len(atlases) < 2:
         raise InputError(f"maps side by side need two atlases or more, found {len(atlases)}")
     first = axis_names(atlases[0])
@@ -171,19 +178,28 @@ def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
 
 
 def _title(compared: Comparison) -> str:
-    """Return the common parameters, and below them the differing ones of the second and of the first atlas."""
+    """Return the title of a comparison: the common parameters, and below them the differing ones.
+
+    The values of the second atlas come before those of the first.
+    """
     common = text.title_line(compared.first.drop_vars(compared.differing))
     sides = [_values(ds, compared.differing) for ds in (compared.second, compared.first)]
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
 
 def _coarseness(block: int) -> str:
-    """Return a note below a title if cells stand for several."""
+    """Return a line of the title that says for how many cells a drawn cell stands; empty if for one."""
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
 def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayout, label: str) -> MapLayers:
-    """Return the layers of the differences of exponents, with this label of the colorbar."""
+    """Return the layers of a map of the differences of exponents, second atlas minus first.
+
+    first, second   the planes of both atlases
+    pending         mask (y, x) of cells that one of the atlases has not solved yet
+    layout          layout of the figure, which may set the colour limits
+    label           label of the colorbar
+    """
     change = differences(first.regime, second.regime, first[LARGEST.name], second[LARGEST.name])
     known = change[~np.isnan(change)]
     most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
@@ -200,7 +216,11 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
 
 
 def _changes(first: Plane, second: Plane, pending: Cells, ds: xr.Dataset) -> MapLayers:
-    """Return the layers of the regimes of the second atlas, in its words, where the first has another regime."""
+    """Return the layers of a map of the second atlas's regimes where the first atlas has another regime.
+
+    ``pending`` (y, x) is the mask of cells that one of the atlases has not solved yet. ``ds`` is the second atlas, in
+    whose words the regimes are named.
+    """
     same = (first.regime == second.regime) & ~pending, SAME, "same regime"
     layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), second.regime), [same]), ds)
     same_entry = LegendEntry(*same[1:])

@@ -1,4 +1,4 @@
-"""The style of every picture: type, colours, hatches, legend entries, curves and events."""
+"""The style of all pictures: type, colours, hatches, legend entries, and lines and markers of bifurcations."""
 
 import threading
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ DPI = 300.0
 
 
 def rc_params(scale: float) -> dict[str, Any]:
-    """Return Matplotlib's settings for type sizes ``scale`` times those of the standard layout."""
+    """Return Matplotlib's settings for our pictures, with type sizes ``scale`` times those of the standard layout."""
     return {
         "font.family": "STIXGeneral",
         "mathtext.fontset": "stix",
@@ -56,8 +56,9 @@ _OF_LOOKS = {
 
 
 def defaults() -> dict[str, Any]:
-    """Return Matplotlib's own settings of these groups, from which a layout begins; a user's settings are for other
-    figures.
+    """Return Matplotlib's own default settings for the appearance of figures.
+
+    A layout begins with them, so that a user's settings for other figures have no effect.
     """
     return {name: value for name, value in mpl.rcParamsDefault.items() if name.partition(".")[0] in _OF_LOOKS}
 
@@ -67,11 +68,11 @@ _alone = threading.RLock()
 
 @contextmanager
 def drawing_context(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Draw in one thread at a time, with these settings of Matplotlib; the former settings are restored.
+    """Draw in one thread at a time, with the given settings of Matplotlib; the former settings are restored.
 
     Settings belong to the whole process, and drawing of text is not thread-safe. The explorer's renderers, its
-    portraits and files, and its user's drawings in a notebook therefore take turns. Settings that another thread of the
-    user changes meanwhile stay, if they are not among these.
+    portraits and files, and its user's drawings in a notebook therefore take turns. Other settings, which another
+    thread of the user may change meanwhile, keep their changes.
     """
     of_all: Any = mpl.rcParams
     with _alone:
@@ -92,12 +93,12 @@ INK = {**REGIME_COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020", REGULAR: "#c
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
 """Hatch of each regime that colour alone does not distinguish.
 
-White is no value, and impact-free cells have exponents. Grey and black may be colours at a limit, and green looks like
-a shade of chaos without red receptors.
+White may mean no value, and impact-free cells may be coloured by their exponents. Grey and black may be colours at a
+limit, and green looks like a shade of chaos without red receptors.
 """
 
 HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
-"""Colour of these hatches; all other hatches have a colour that suits their cells."""
+"""Colour of the hatches of regimes; a hatch without an entry has a colour that is visible on its cells."""
 
 LOST_HATCH = "||"
 """Hatch of exponents that are -inf: rest on a stop erases disturbances."""
@@ -110,13 +111,13 @@ def rgb(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
 
 
 def swatch(color: ColorType, label: str, hatch: str | None = None, ink: str = TEXTURE) -> Patch:
-    """Return a legend entry: a framed box of a colour, with a hatch in its own colour if given."""
+    """Return a legend entry: a framed box of a colour, with a hatch of the colour ``ink`` if one is given."""
     edge = ink if hatch else "#404040"
     return Patch(facecolor=color, edgecolor=edge, linewidth=0.5, hatch=hatch and 2 * hatch, label=label)
 
 
 class GradientPatch(Patch):
-    """A legend entry: a box of a colour that darkens from left to right, to a share of its brightness."""
+    """A legend entry: a box of a colour that darkens from left to right, down to ``dark`` times its brightness."""
 
     def __init__(self, color: ColorType, dark: float, label: str) -> None:
         super().__init__(facecolor=color, edgecolor="#404040", linewidth=0.5, label=label)
@@ -141,19 +142,20 @@ Legend.update_default_handler_map({GradientPatch: _GradientHandler()})
 
 
 def ink_on(color: ColorType) -> str:
-    """Return dark or light, whichever is visible on a colour."""
+    """Return a dark or a light colour for text, whichever is visible on the given colour."""
     red, green, blue = to_rgb(color)
     return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
 
 
 class EventStyle(NamedTuple):
-    """The style of a kind of event. Colours differ without red or green receptors, dashes and markers without any
-    colour.
+    """How events of one kind, bifurcations or grazes, are drawn.
 
     label   name in a legend
     color   colour
     dashes  dashes of curves
     marker  marker of points
+
+    Colours differ without red or green receptors, dashes and markers without any colour.
     """
 
     label: str
@@ -180,7 +182,7 @@ EVENT_STYLES = {
     "hopf": EventStyle("Hopf", "#00785a", (0, (4, 1, 1, 3)), "*"),
     "border": EventStyle("end of an equilibrium", "#000000", (0, (8, 3)), "H"),
 }
-"""Styles of events with one condition, in the order of legends."""
+"""Styles of the events with one condition, whose curves lie in a plane of two parameters, in the order of legends."""
 
 CORNERS = {
     "cusp": ("cusp", "^"),
@@ -195,11 +197,11 @@ CORNERS = {
     "graze_symmetry_breaking": ("graze–symmetry breaking", "P"),
     "graze_neimark_sacker": ("graze–Neimark–Sacker", "h"),
 }
-"""Points of codimension two: name in a legend, and marker, white with a black edge."""
+"""Points of codimension two, by kind: name in a legend, and shape of the marker, which is white with a black edge."""
 
 
 def corner_look(kind: str, size: float) -> dict[str, Any]:
-    """Return name and marker of a point of codimension two, as arguments of ``Axes.plot``."""
+    """Return marker and legend name for a kind of point of codimension two, as arguments of ``Axes.plot``."""
     label, marker = CORNERS.get(kind, ("", "*"))
     for name, look in EVENT_STYLES.items():
         if not label and kind.endswith(f"_{name}"):
@@ -210,7 +212,7 @@ def corner_look(kind: str, size: float) -> dict[str, Any]:
 
 
 def mark(marker: str, size: float, color: str, edge: str, width: float) -> dict[str, Any]:
-    """Return the style of points as arguments of ``Axes.plot``; size and width of the edge are in points."""
+    """Return arguments of ``Axes.plot`` that draw points with a marker; its size and edge width are in points."""
     return {
         "linestyle": "", "marker": marker, "markersize": size, "color": color, "markeredgecolor": edge,
         "markeredgewidth": width,

@@ -1,4 +1,7 @@
-"""Pictures over one axis: sections over exponents, for one or two sweeps, or over shares; branches."""
+"""Pictures over one axis: bifurcation diagrams above exponents or shares, of one or two sweeps, and branches of orbits.
+
+A bifurcation diagram shows section values: the gap coordinate at t = k T, the start of each forcing period.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Panel: TypeAlias = Callable[[Axes, xr.Dataset, PlaneAxis, FigureLayout], None]
-"""Draws one panel of a sweep from its data."""
+"""A function that draws one plot of a sweep."""
 
 LARGEST_LABEL = f"largest Lyapunov exponent\n$\\lambda_1$ [{PER_PERIOD}]"
 COLORS = ("#0a6ebd", "#e8701a")
@@ -39,31 +42,35 @@ COLORS = ("#0a6ebd", "#e8701a")
 EXPONENTS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
 """Colour of each exponent, the largest first; repeated for systems with more."""
 INTERVAL = ("share_low", "share_high")
-"""Limits of the interval of a share; a legend gives its width."""
+"""Names of the variables with the limits of the 95 % interval of a share; a legend gives its largest width."""
 _POINT = 2.0
 """Minimum diameter of a point, in points of the page: still visible on white."""
 INK = "#1a1a1a"
 """Colour of branches."""
 DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
-"""Line styles of stable and of unstable parts."""
+"""Line styles of the stable (True) and the unstable (False) parts of a branch."""
 _WIDTHS = {True: 1.1, False: 0.6}
 _MARKER = 3.6
 """Size of an event's marker in points."""
 _HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
-"""Height of a figure with one or two panels: inches, and the share of the width that is subtracted."""
+"""Height of a figure with one or two plots: a length in inches, and the share of the width that is added to it."""
 _FEW, _MANY = 2.2, 1.5
 """Minimum diameter, in points, of the points of an orbit, and of a cloud such as chaos."""
 
 
 def figure(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return the sweep as a figure, each panel if the atlas has its variable. Raise InputError if the atlas has
-    neither.
+    """Return a sweep as a figure: section values above the largest exponent, each if the atlas has the variable.
+
+    Raise InputError if the atlas has neither.
     """
     return _of_one(ds, request, dict.fromkeys(names_with_values([LARGEST.name], ds), _draw_largest))
 
 
 def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return the sweep with all exponents as a figure. Raise InputError if the atlas lacks the exponents."""
+    """Return a sweep as a figure: section values above all Lyapunov exponents.
+
+    Raise InputError if the atlas lacks the exponents.
+    """
     KIND_TABLE["spectrum"].require(ds, [SPECTRUM.name])
     numbers = range(ds[SPECTRUM.name].shape[-1])
     entries = [Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$") for i in numbers]
@@ -73,7 +80,10 @@ def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
 def _of_one(
     ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
 ) -> Figure:
-    """Return the plotted values of a sweep over a panel of its exponents, with these entries in the legend."""
+    """Return the figure of one sweep: section values or an observable, above a panel of its exponents.
+
+    ``exponents`` holds the function that draws this panel, by variable; ``entries`` are added to the legend.
+    """
     plotted_values = PlottedValues.resolve(request.observe, ds)
     panels = ({} if plotted_values is None else {plotted_values.name: _panel_of_points(plotted_values)}) | dict(
         exponents
@@ -89,7 +99,7 @@ def _of_one(
 
 
 def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return two sweeps as one figure, in two colours: they hide each other where the motions are the same.
+    """Return two sweeps in one figure, in two colours; their points coincide where the motions are the same.
 
     Raise InputError unless the sweeps have the same axis and a common variable.
     """
@@ -121,10 +131,10 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
 
 
 def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return the sections of all attractors in the colours of their regimes, over their shares.
+    """Return a figure of all attractors along an axis: their section values above their shares of the initial states.
 
-    Without stored sections the exponents of the attractors are drawn. Orbits of labelled attractors have the colours of
-    their labels. Raise InputError if the atlas does not have all attractors.
+    Without stored sections the exponents of the attractors are drawn. Attractors have the colours of their regimes, or
+    if labelled, of their branches. Raise InputError if the atlas does not have all attractors.
     """
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' needs all attractors, and this atlas has one per cell; see [attractors]")
@@ -152,7 +162,7 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
 
 
 def figure_of_branches(branches: "BranchTable", layout: FigureLayout = STANDARD) -> Figure:
-    """Return branches as a separate figure, under the title line of the other parameters."""
+    """Return a figure of branches of orbits over their parameter, titled by the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
     meaning = CoordinateInfo(parameter.meaning, parameter.symbol, parameter.unit)
     parameters = {name: value for name, value in branches.parameters.items() if name not in system.states}
@@ -167,14 +177,14 @@ def figure_of_branches(branches: "BranchTable", layout: FigureLayout = STANDARD)
 
 
 def names_with_values(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
-    """Return those variables that all of the atlases have, with values."""
+    """Return the names of the variables that all of the atlases have, with values."""
     return [name for name in names if all(name in atlas and atlas[name].size for atlas in atlases)]
 
 
 def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, PlaneAxis]:
-    """Return these variables and the regimes along the axis of a sweep in rising order, and that axis.
+    """Return the named variables and the regimes of a sweep, sorted along its axis, and the axis.
 
-    Pictures of sweeps read only here.
+    Pictures of sweeps read an atlas only here.
     """
     read, (x,) = sort_axes(ds[[*dict.fromkeys(variables), REGIME.name]])
     return read, x
@@ -188,9 +198,14 @@ def stack(
     request: PictureRequest,
     plotted_values: PlottedValues | None = None,
 ) -> Figure:
-    """Return a figure with panels over one shared axis, under the title line of the fixed parameters.
+    """Return a figure with panels over one shared axis, titled by the fixed parameters.
 
-    The overlay of branches is drawn over the section. ``plotted_values`` are drawn by the first panel.
+    ds               the atlas
+    read             the cells of the sweep and its axis, from ``line``
+    panels           functions that draw the panels, by the variable that each shows
+    legend           entries of the legend
+    request          the requested picture
+    plotted_values   the values of the first panel; over them the overlay of branches is drawn
     """
     page, (cells, x), (least, share) = request.page, read, _HEIGHT[len(panels)]
     branches = None
@@ -218,7 +233,7 @@ def stack(
 
 
 def _panel_of_points(plotted_values: PlottedValues) -> Panel:
-    """Return the panel of section values, or of values of an observable."""
+    """Return the function that draws the panel of section values, or of values of an observable."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         regime, values = ds[REGIME.name].values, plotted_values.values(ds, x)
@@ -258,7 +273,10 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout)
 
 
 def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: PlottedValues | None) -> Panel:
-    """Return the panel of section values, an observable or exponents of every attractor; larger shares lie on top."""
+    """Return the function that draws a variable of every attractor; attractors with larger shares lie on top.
+
+    The variable ``name`` is that of the plotted values, or the largest exponent. ``known`` is the table of branches.
+    """
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
@@ -273,8 +291,9 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: Pl
 
 
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
-    """Return the panel of the shares of all attractors, stacked, with white lines between; the rest up to 1 is
-    undecided.
+    """Return the function that draws the shares of all attractors, stacked, with white lines between.
+
+    The rest up to 1 is the share of the undecided initial states. ``known`` is the table of branches.
     """
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
@@ -297,9 +316,10 @@ def _panel_of_shares(known: xr.Dataset | None) -> Panel:
 
 
 def _groups(attractor: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Yield (mask of cells, colour) for each colour of the attractors along a sweep.
+    """Yield a mask of cells and their colour, for each colour that one attractor per cell has along a sweep.
 
-    ``attractor`` has one attractor per cell, ``known`` the table of branches if attractors are labelled.
+    ``attractor`` is the dataset of the attractor in each cell. ``known`` is the table of branches if attractors are
+    labelled, else None.
     """
     regime = attractor[REGIME.name].values
     label = attractor[LABEL.name].values if known is not None else np.full(regime.shape, -1)
@@ -311,7 +331,10 @@ def _groups(attractor: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[N
 
 
 def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None:
-    """Mark cells with an exponent of -inf at the foot of the axis, and label the axis."""
+    """Mark cells with an exponent of -inf at the bottom of a plot, and label its vertical axis.
+
+    ``lost`` is the mask of these cells; ``note`` explains the marks in the label if there are any.
+    """
     if lost.any():
         foot = np.full(lost.sum(), 0.015)
         ax.plot(x.values[lost], foot, "v", color="black", markersize=2.5, transform=ax.get_xaxis_transform())
@@ -319,7 +342,7 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
 
 
 def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> list[Artist]:
-    """Draw branches, also of mirror images, with their events, and return the legend entries."""
+    """Draw branches of orbits and their mirror images, with their events, and return the legend entries."""
     lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
         segments, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
@@ -338,12 +361,12 @@ def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> li
 
 
 def color_of(i: int) -> str:
-    """Return the colour of an exponent by its number; number 0 is the largest."""
+    """Return the colour of the Lyapunov exponent number ``i``; number 0 is the largest."""
     return EXPONENTS[i % len(EXPONENTS)]
 
 
 def point_size(x: PlaneAxis, minimum: float, layout: FigureLayout) -> float:
-    """Return the diameter of a point in points: wider than a cell, within the limits of visibility and separation."""
+    """Return the diameter of a point in points: wider than a cell, but at least ``minimum`` and at most 4."""
     return float(np.clip(1.6 * layout.plot_size(1.0)[0] / x.values.size, minimum, 4.0))
 
 
@@ -357,14 +380,17 @@ def draw_points(
     zorder: float = 3,
     cells: Any = True,
 ) -> None:
-    """Draw the finite values (N,) or (N, n) of ``cells`` (N,), by default all, as points of ``size`` points."""
+    """Draw the finite values (N,) or (N, n) of the cells of a sweep as points with a diameter of ``size`` points.
+
+    ``cells`` (N,) is the mask of the cells that are drawn, by default all.
+    """
     at, mask = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
     look: Any = {"color": color, "markersize": size, "markeredgewidth": 0, "zorder": zorder, "rasterized": True}
     ax.plot(at[mask], values[mask], marker, **look)
 
 
 def _values(ds: xr.Dataset, x: PlaneAxis, name: str, plotted_values: PlottedValues | None) -> Array:
-    """Return the values of a variable along a sweep, or the plotted values of each cell."""
+    """Return the values of the variable ``name`` along a sweep, or the plotted values if this is their variable."""
     return (
         np.asarray(ds[name].values)
         if plotted_values is None or name != plotted_values.name
@@ -373,7 +399,7 @@ def _values(ds: xr.Dataset, x: PlaneAxis, name: str, plotted_values: PlottedValu
 
 
 def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:
-    """Return legend entries for the regimes of the points of an atlas."""
+    """Return legend entries for the regimes that occur among the points of a sweep."""
     regimes = text.regime(ds)
     codes = np.unique(regime[regime != PENDING]).tolist()
     return [_dot(style.INK[code], regimes.meaning(code).text, 4.0) for code in codes]

@@ -1,4 +1,4 @@
-"""Texts in pictures: symbols, units and values of parameters, labels of axes, titles, the gap coordinate."""
+"""Texts in pictures: symbols, units and values of parameters, labels of axes, titles."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,12 +14,15 @@ from workers.model.system import System
 from workers.results import PER_PERIOD, PER_TIME, REGIME, Variable
 
 _TERMS = 3
-"""Maximum number of terms of a gap coordinate in a label."""
+"""Maximum number of terms with which a label writes out the gap coordinate."""
 
 
 @lru_cache(maxsize=1024)
 def shown_symbol(symbol: str, name: str) -> str:
-    r"""Return a symbol as mathtext, without the dollars; the name if the symbol is empty or invalid, as ``\frac{``."""
+    r"""Return a symbol as mathtext, without the dollars.
+
+    Return the name instead if the symbol is empty or invalid, as ``\frac{``.
+    """
     try:
         parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
     except ValueError:
@@ -33,7 +36,7 @@ def symbol(ds: xr.Dataset, name: str) -> str:
 
 
 def axis_label(name: str, meaning: CoordinateInfo) -> str:
-    """Return meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has no unit.
+    """Return the label of an axis: meaning, symbol and unit, as ``impact speed $v$ [m/s]``; a pure number has no unit.
 
     A parameter without a meaning is labelled by its symbol.
     """
@@ -42,7 +45,7 @@ def axis_label(name: str, meaning: CoordinateInfo) -> str:
 
 
 def variable_label(ds: xr.Dataset, name: str) -> str:
-    """Return meaning and unit of a variable, for a colorbar."""
+    """Return the meaning and the unit of a variable, as the label of a colorbar."""
     meaning, unit = str(ds[name].attrs.get("long_name", name)).split(";")[0], str(ds[name].attrs.get("units", "1"))
     for rate in (PER_PERIOD, PER_TIME):
         if meaning.endswith(f" {rate}"):
@@ -51,7 +54,7 @@ def variable_label(ds: xr.Dataset, name: str) -> str:
 
 
 def in_its_unit(ds: xr.Dataset, label: str) -> str:
-    """Return a label of exponents in the machine's unit: per unit time for machines without a force."""
+    """Return a label of exponents with the unit of the atlas's machine: per unit time if the machine has no force."""
     return label.replace(PER_PERIOD, PER_TIME) if is_unforced(ds) else label
 
 
@@ -62,7 +65,7 @@ def is_unforced(ds: xr.Dataset) -> bool:
 
 
 def regime(ds: xr.Dataset) -> Variable:
-    """Return the variable of regimes, whose codes have the words for the atlas's machine."""
+    """Return the variable of regimes, with the words for its codes that suit the atlas's machine."""
     system = stored_system(ds.attrs)
     return REGIME if system is None else system.regime
 
@@ -73,23 +76,25 @@ def motion_key(ds: xr.Dataset) -> str:
 
 
 def rest(ds: xr.Dataset) -> str:
-    """Return the words for the rest that erases disturbances: on a rigid stop, or sticking in a machine without one."""
+    """Return the words for the rest that erases disturbances: on a rigid stop, or sticking if no stop is rigid."""
     system = stored_system(ds.attrs)
     rigid = system is None or any(contact.restitution is not None for contact in system.definition.contacts)
     return "rest on a stop" if rigid else "stick"
 
 
 def unit_ending(*units: str) -> str:
-    """Return the ending of a label: its CF unit in brackets, empty for the 1 of pure numbers or for several units."""
+    """Return the ending of a label: its unit in brackets.
+
+    The ending is empty for pure numbers, whose unit is 1, and for several different units.
+    """
     return "" if len({*units}) > 1 or units[0] == "1" else f" [{units[0]}]"
 
 
 def title_line(ds: xr.Dataset) -> str:
-    r"""Return the fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, without initial states of
-                                                                        zero.
+    r"""Return the fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``.
 
-    If all constants of the machine are numbers, with no fixed parameter but the phase of its force, the line is the
-    title of the machine.
+    Initial states of zero are left out. If all constants of the machine are numbers, with no fixed parameter but the
+    phase of its force, the line is the title of the machine.
     """
     system = stored_system(ds.attrs)
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
@@ -104,18 +109,18 @@ def title_line(ds: xr.Dataset) -> str:
 
 
 def system_line(system: System, values: Mapping[str, float]) -> str:
-    """Return the ``title_line`` for these parameters of a system."""
+    """Return the line of ``title_line`` for the parameters ``values`` of a system, without an atlas."""
     parameters = [p for p in system.parameters if p.name in values and (values[p.name] or p.name not in system.states)]
     return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in parameters])
 
 
 def parameter_line(items: Sequence[tuple[str, float]]) -> str:
-    """Return symbols with their values on one line, which ``text_wrap.wrap_texts`` breaks at commas."""
+    """Return symbols with their values on one line, which ``text_wrap.wrap_texts`` may break at commas."""
     return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
 
 
 def number(value: float) -> str:
-    """Return a number as mathtext: up to six digits, with simple multiples of pi as such."""
+    """Return a number as mathtext: with up to six digits, or as a simple multiple of pi."""
     for below in (1, 2, 3, 4, 6):
         above = value / math.pi * below
         times = round(above)
@@ -126,7 +131,10 @@ def number(value: float) -> str:
 
 
 def gap_label(system: System | None) -> str:
-    """Return meaning, symbol and unit of the gap coordinate at a section, in two lines."""
+    """Return the label of the gap coordinate at t = k T: meaning, symbol and unit, in two lines.
+
+    For a machine without a force the label names its event instead of t = k T.
+    """
     if system is None:
         return "first state at $t = kT$"
     entries = [entry.constant for entry in system.definition.picture_row]
@@ -145,14 +153,14 @@ def gap_label(system: System | None) -> str:
 
 
 def state_symbol(system: System, state: str) -> str:
-    """Return the symbol of a component of the state, from the parameter of its initial value."""
+    """Return the symbol of a component of the state, derived from that of the parameter for its initial value."""
     return shown_symbol(system.parameter(state).symbol.removesuffix("(0)"), state)
 
 
 def combination(row: Sequence[float], symbols: Sequence[str], otherwise: str = "y") -> str:
-    """Return the sum of symbols with these coefficients as mathtext, positive ones first: ``x_2 - x_1``.
+    """Return a linear combination of symbols as mathtext, positive terms first: ``x_2 - x_1``.
 
-    Return ``otherwise`` for more than three terms.
+    ``row`` are the coefficients. Return ``otherwise`` for more than three terms.
     """
     terms = [(c, symbol) for c, symbol in zip(row, symbols, strict=True) if c != 0.0]
     terms.sort(key=lambda term: term[0] < 0.0)

@@ -1,4 +1,4 @@
-"""Breaking labels and titles that are longer than their figure into lines."""
+"""Breaking labels and titles that are too long for their figure into lines."""
 
 import re
 from collections.abc import Sequence
@@ -9,11 +9,11 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 TITLE = "title"
-"""Group name that marks texts whose parts may move to the next line."""
+"""Matplotlib group name of titles that may be broken at commas."""
 _LEAST = 3.0
 """Minimum length of an upright label that may be broken, in its own widths: small plots have no room for lines."""
 OWN_TITLE = "own title"
-"""Group name that marks titles limited to the width of their plot by neighbours."""
+"""Matplotlib group name of titles of single plots, which must not be wider than their plot."""
 
 
 def wrap_texts(fig: Figure) -> None:
@@ -51,8 +51,9 @@ def _fit_title(fig: Figure, text: Text) -> bool:
 
 
 def _fit_labels(fig: Figure) -> bool:
-    """Break labels that leave the figure, exceed an upright axis, or meet their neighbours; return True if any has
-    changed.
+    """Break axis labels that leave the figure, are longer than an upright axis, or meet their neighbours.
+
+    Return True if any label has changed.
     """
     levels = [ax.xaxis.label.get_window_extent() for ax in fig.axes if ax.get_xlabel()]
     uprights = [ax.yaxis.label.get_window_extent() for ax in fig.axes if ax.get_ylabel()]
@@ -74,12 +75,15 @@ def _fit_labels(fig: Figure) -> bool:
 
 
 def _meets(box: Bbox, boxes: Sequence[Bbox]) -> bool:
-    """Return True if a box overlaps another of ``boxes``."""
+    """Return True if the box of a label overlaps another of ``boxes``."""
     return box.padded(2.0).count_overlaps([other for other in boxes if other.bounds != box.bounds]) > 0
 
 
 def _broken(label: str) -> str:
-    """Return a label with its longest line broken at the space nearest to its middle, outside formulas and brackets."""
+    """Return a label with its longest line broken in two, at the space nearest to the middle of the line.
+
+    Spaces in formulas and brackets do not count.
+    """
     lines = label.split("\n")
     longest = max(range(len(lines)), key=lambda i: len(_read(lines[i])))
     line = lines[longest]
@@ -96,5 +100,5 @@ def _broken(label: str) -> str:
 
 
 def _read(text: str) -> str:
-    """Return a text of about the visible length, with each symbol of mathtext as one letter."""
+    """Return a label's source shortened to about its visible length, with each symbol of mathtext as one letter."""
     return re.sub(r"\\[a-z]+", "x", text).translate(str.maketrans("", "", "${}_^"))

@@ -1,1 +1,1 @@
-"""Stability of attractors: decay and growth of deviations, fatal shocks, saddles."""
+"""Stability of attractors: decay and growth of deviations, smallest shocks that lead to another attractor, saddles."""

@@ -1,4 +1,7 @@
-"""All attractors of one cell, found in this process, for ``attractors``, stability measures and saddles."""
+"""All attractors of one cell, found in this process from many initial states.
+
+They are the result of ``attractors``, and the basis of stability measures and saddles.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class AttractorSearch:
-    """A search for all attractors of one cell, with results that are computed when first used.
+    """A search for all attractors of one cell from many initial states; results are computed when first used.
 
     record      system of the cell
     parameters  value of each parameter
@@ -42,7 +45,10 @@ class AttractorSearch:
         settings: Settings | None,
         starts: int,
     ) -> Self:
-        """Return the search for these arguments. Raise InputError for an invalid one, such as an unknown parameter."""
+        """Return the search for the arguments of ``attractors``.
+
+        Raise InputError for an invalid argument, such as an unknown parameter.
+        """
         record, settings = parse_system(system), given_settings(settings)
         return cls(record, validate_parameters(record, parameters), settings, cell_attractors(starts, record, settings))
 
@@ -52,12 +58,15 @@ class AttractorSearch:
         return search_to_json(self.record, self.parameters, self.settings, self.starts)
 
     def weights(self, norm: Mapping[str, float] | None) -> "Array":
-        """Return the weights (2n,) of a norm; ``norm`` gives those of some components of the state."""
+        """Return the weights (2n,) of the components of the state in a norm of deviations.
+
+        ``norm`` gives some of them by component; the others have their default values.
+        """
         return weights_of(norm or {}, self.record, float(self.table.oscillators.period[0]))
 
     @cached_property
     def table(self) -> "AttractorTable":
-        """The attractors, the largest share first."""
+        """The attractors found, that with the largest share of the initial states first."""
         from workers.attractors.basins import AttractorTable
 
         return AttractorTable(self.record, self.parameters, self.settings, self.starts)
@@ -85,25 +94,25 @@ def attractors(
     starts: int = AttractorSettings.count,
     **named: Any,
 ) -> dict[str, Any]:
-    """Return all attractors that initial states of one cell reach, with their shares, as ``[attractors]`` in a spec
-    does.
+    """Return all attractors that initial states of one cell reach, with the shares of initial states that reach them.
 
-    ``omega=4.0`` or a mapping gives parameters other than the defaults. ``starts`` initial states are solved: the
-    cell's own, and others that fill a box evenly; only half of them if these all reach one attractor. The results are:
+    The search is that of the table ``[attractors]`` in a spec. ``omega=4.0`` or a mapping gives parameters other than
+    the defaults. ``starts`` initial states are solved: the cell's own, and others that fill a box evenly; only half of
+    them if these all reach one attractor. The results are:
 
-    attractors    number of attractors found
-    starts        number of initial states solved
-    own           index of the attractor that the cell's own initial state reaches
-    undecided     number of undecided initial states
-    unseen_share  share of an attractor that 5 % of such searches miss
-    periods_used  forcing periods simulated for all initial states
-    coexisting    list of the attractors with all their results, the largest share first
-    regime        regime of the cell's own initial state, if ``coexisting`` is empty
-    reason        reason of the cell's own initial state, likewise
-    system        the system in full
-    parameters    value of each parameter
-    solve         settings of the solver
-    search        settings of the search
+    attractors     number of attractors found
+    starts         number of initial states solved
+    own_attractor  index of the attractor that the cell's own initial state reaches
+    undecided      number of undecided initial states
+    unseen_share   share of an attractor that 5 % of such searches miss
+    periods_used   forcing periods simulated for all initial states
+    coexisting     list of the attractors with all their results, the largest share first
+    regime         regime of the cell's own initial state, if ``coexisting`` is empty
+    reason         reason of the cell's own initial state, likewise
+    system         the system in full
+    parameters     value of each parameter
+    solve          settings of the solver
+    search         settings of the search
 
     Raise InputError for a parameter that does not exist or is out of range, and for settings that find no attractors.
 

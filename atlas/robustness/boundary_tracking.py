@@ -2,11 +2,11 @@
 
 Where a boundary between two basins is smooth, it is the stable manifold of an unstable orbit with a single multiplier
 outside the unit circle. A motion on the boundary tends to that orbit, which is found as follows. Two states with a
-boundary between them are bisected until their distance is BRACKET. Both are then mapped from section to section. When
-they are more than RESTART_DISTANCE apart, they are bisected again. What stays between them is a motion on the boundary.
-Once that motion recurs after q periods, Newton's method on P^q(z) - z gives the orbit, and its Jacobian the
-multipliers. The left eigenvector l of the multiplier outside the unit circle is the normal of the stable manifold:
-deviations dz along the manifold have l dz = 0.
+boundary between them are bisected until their distance is BRACKET. Both are then mapped from t = k T to t = (k + 1) T,
+with forcing period T, again and again. When they are more than RESTART_DISTANCE apart, they are bisected again. What
+stays between them is a motion on the boundary. Once that motion recurs after q periods, Newton's method on P^q(z) - z,
+with P the map over one period, gives the orbit, and its Jacobian the multipliers. The left eigenvector l of the
+multiplier outside the unit circle is the normal of the stable manifold: deviations dz along the manifold have l dz = 0.
 
 Skufca, Yorke & Eckhardt, Phys. Rev. Lett. 96 (2006) 174101 (edge tracking).
 """
@@ -27,28 +27,37 @@ from workers.model.oscillator import Array
 from workers.results import UNKNOWN_LABEL
 
 BRACKET, RESTART_DISTANCE = 1e-10, 1e-6
-"""Distances of the two states after a bisection, and before the next, relative to that of the first two states."""
+"""Distances of the two states on either side of the boundary, after a bisection and before the next.
+
+Both are relative to the distance of the two states at first.
+"""
 MAX_STEPS, BURN = 400, 12
-"""Maximum number of forcing periods for which a boundary is tracked, and number before its motion may recur."""
+"""Maximum number of forcing periods for which a boundary is tracked, and number before recurrence is tested."""
 MAX_PERIOD, RECURRENCE_DISTANCE = 12, 1e-3
-"""Maximum period of a saddle, and distance within which its motion recurs, relative to that of the first two states."""
+"""Maximum period of a saddle, and distance within which the motion on the boundary counts as having recurred.
+
+The distance is relative to that of the first two states.
+"""
 PARTS = 8
-"""Number of parts into which an interval is divided at once."""
+"""Number of parts into which an interval is divided in each step of the bisection."""
 MAX_ATTEMPTS, NEWTON, CLOSED = 12, 30, 1e-11
-"""Maximum number of searches for an orbit, of Newton steps in each, and residual relative to the largest component."""
+"""Maximum numbers of Newton searches for a saddle and of steps in each, and largest residual of a converged search.
+
+The residual is relative to the largest component of the orbit's states.
+"""
 ASIDE = 1e-5
-"""Deviation along the unstable direction that shows which basins meet at a saddle, relative to its size."""
+"""Size of the deviations, relative to the saddle's states, that show which basins meet at a saddle."""
 
 
 @dataclass(frozen=True, eq=False)
 class Saddle:
-    """An unstable orbit between basins.
+    """An unstable orbit on the boundary between two basins, with one multiplier outside the unit circle.
 
-    states (q, 2n)     section states, physical
-    multipliers (2n,)  multipliers of the whole orbit
+    states (q, 2n)     states at t = k T, the start of each forcing period, in physical coordinates
+    multipliers (2n,)  Floquet multipliers of the whole orbit
     normal (q, 2n)     normal of its stable manifold at each state, of length 1 in the norm's coordinates w z
-    sides              labels reached a little to either side of the first state, against its normal and along it
-    residual           largest component of P^q(z) - z
+    sides              labels of the attractors reached a little aside of the first state, against its normal and along
+    residual           largest component of P^q(z) - z, with P the map over one forcing period
     weights (2n,)      weights of the norm
     """
 
@@ -61,26 +70,30 @@ class Saddle:
 
     @property
     def period(self) -> int:
-        """The period q in forcing periods."""
+        """The period q of the orbit in forcing periods."""
         return len(self.states)
 
     @property
     def slopes(self) -> Array:
-        """For n = 1, dv/dx along the stable manifold at each state (q,), in physical units."""
+        """The slope dv/dx of the stable manifold at each state (q,), in physical units, for one degree of freedom."""
         x, v = (self.normal * self.weights).T
         return np.asarray(-x / v)
 
 
 class TrackingResult(NamedTuple):
-    """The saddles found, and for each boundary without one the reason, as a line of text."""
+    """The saddles found, and one line of text for each boundary without a saddle, with the reason."""
 
     saddles: list[Saddle]
     troubles: list[str]
 
 
 def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
-    """Return the saddles between the basins of a table's attractors, tracked from each pair of attractors in both
-    directions.
+    """Return the saddles between the basins of a table's attractors.
+
+    table          attractors of one machine
+    weights (2n,)  weights of the norm
+
+    A boundary is tracked for each pair of attractors in both directions.
     """
     count = max([CHAOS_STATES, *(attractor.period for attractor in table.attractors)])
     points = section_points(table, count)
@@ -99,27 +112,28 @@ def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
 
 
 def _same(one: Saddle, other: Saddle) -> bool:
-    """Return True if two saddles are one orbit."""
+    """Return True if two saddles are the same orbit."""
     return one.period == other.period and bool(are_on_orbit(other.states, one.states[0]))
 
 
 class _Tracker:
-    """Tracks the boundary of one attractor's basin."""
+    """Tracks the boundary of one attractor's basin to a saddle."""
 
     def __init__(self, table: AttractorTable, label: int, weights: Array) -> None:
         self.table, self.label, self.weights = table, label, weights
         self.map = SectionMap(table.cell.oscillator)
 
     def inside(self, states: Array) -> NDArray[np.bool_]:
-        """Return the mask of states (N, 2n) that reach the basin's attractor."""
+        """Return the mask of the states (N, 2n) that lie in the basin, so that they reach its attractor."""
         return np.asarray(reached_labels(self.table, states) == self.label)
 
     def size(self, deviation: Array) -> float:
         return float(np.linalg.norm(self.weights * deviation))
 
     def track(self, first: Array, last: Array) -> Saddle | str:
-        """Return the saddle to which the boundary between a state inside and one outside leads, or the reason why there
-        is none.
+        """Return the saddle to which motions on the boundary of the basin tend, or the reason why none is found.
+
+        The boundary is looked for between the state ``first`` inside the basin and the state ``last`` outside.
         """
         distance = self.size(last - first)
         pair = self.bisected(first, last, distance)
@@ -143,9 +157,9 @@ class _Tracker:
         return f"found no orbit of up to {MAX_PERIOD} periods in {MAX_STEPS} on the boundary, which may be fractal"
 
     def bisected(self, first: Array, last: Array, distance: float) -> Array:
-        """Return two states (2, 2n), BRACKET apart, on the line from a state inside to a state outside.
+        """Return two states (2, 2n), BRACKET times ``distance`` apart, between which the boundary lies.
 
-        The boundary lies between them.
+        They are found by bisection between the state ``first`` inside the basin and the state ``last`` outside.
         """
         low, high, length = 0.0, 1.0, self.size(last - first)
         while (high - low) * length > BRACKET * distance:
@@ -158,15 +172,19 @@ class _Tracker:
         return np.stack([first + low * (last - first), first + high * (last - first)])
 
     def _recurs(self, history: list[Array], distance: float) -> int:
-        """Return the number of periods after which the motion has returned to its last state; 0 if it has not."""
+        """Return the number of periods after which a motion has returned to its last state; 0 if it has not.
+
+        ``history`` are its states, one per period. States within RECURRENCE_DISTANCE times ``distance`` count as equal.
+        """
         for period in range(1, min(MAX_PERIOD, len(history) - 1) + 1):
             if self.size(history[-1] - history[-1 - period]) <= RECURRENCE_DISTANCE * distance:
                 return period
         return 0
 
     def orbit(self, state: Array, period: int, distance: float) -> Saddle | None:
-        """Return the saddle of this period, or of a divisor of it, next to a state, by Newton's method; None if there
-        is none.
+        """Return the saddle near a state, found by Newton's method; None if there is none.
+
+        Its period is ``period`` or a divisor of it. ``distance`` limits how far the method may move.
         """
         z, eye = state.copy(), np.eye(len(state))
         for _ in range(NEWTON):
@@ -196,7 +214,7 @@ class _Tracker:
         return Saddle(states, multipliers, np.array(normal), (int(low), int(high)), residual, self.weights)
 
     def _normal(self, state: Array, period: int) -> Array:
-        """Return the normal of the stable manifold in the norm's coordinates."""
+        """Return the normal of the stable manifold of a saddle at one of its states, in the norm's coordinates w z."""
         jacobian = self.weights[:, None] * self.map.orbit_with_jacobian(state, period)[2] / self.weights
         values, vectors = np.linalg.eig(jacobian.T)
         normal = np.real(vectors[:, np.argmax(np.abs(values))])

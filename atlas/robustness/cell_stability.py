@@ -1,4 +1,4 @@
-"""Stability measures of all attractors of one cell."""
+"""Stability measures of all attractors of one cell: basin stability, decay and growth of deviations, fatal shocks."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from workers.model.oscillator import Array
 
 COUNTS = ("attractors", "starts", "undecided", "unseen_share", "periods_used")
-"""Results of the cell that are listed."""
+"""Results of a search for attractors that ``stability`` returns, too."""
 SHOWN = (REGIME.name, "share", "share_low", "share_high", "period", LARGEST.name)
-"""Results of an attractor that are listed before its measures."""
+"""Results of an attractor that ``stability`` returns before the measures."""
 
 
 def stability(
@@ -53,11 +53,13 @@ def stability(
     Unknown measures are NaN, or -1; chaos and tori have none. With ``shocks``, which costs thousands of motions, each
     attractor also has:
 
-    fatal_shock    size ``|dz|`` of the smallest deviation found, at the section, that leads to another attractor
-    shock_state    the state after this deviation
-    shock_reaches  index of the attractor reached from this state; -2 for an orbit that is not listed
-    shock_tried    number of states tried that fill the ball of this size evenly and are not fatal
-    shock_reason   why there is no shock, if no other attractor is known; ``fatal_shock`` is then NaN
+    fatal_shock         size ``|dz|`` of the smallest deviation found, at t = k T, that leads to another attractor
+    shock_from          index of the attractor's state at t = k T to which this deviation is added
+    shock_state         the state after this deviation
+    shock_reaches       index of the attractor reached from this state; -2 for an orbit that is not listed
+    shock_tried         number of states tried that fill the ball of this size evenly and are not fatal
+    shock_unseen_share  share of this ball that may be fatal and be missed in one search of twenty
+    shock_reason        why there is no shock, if no other attractor is known; ``fatal_shock`` is then NaN
 
     ``fatal_shock`` is an upper bound of the minimal fatal shock. Raise InputError for a parameter or a component that
     does not exist, and for a value out of range.
@@ -86,7 +88,7 @@ def stability(
 
 
 def _measured(table: "AttractorTable", index: int, weights: "Array") -> dict[str, Any]:
-    """Return the linear measures of an attractor of the table."""
+    """Return the return time, reactivity and amplification of the attractor ``index`` of the table, by name."""
     from atlas.robustness.linear_measures import measures_of
 
     measures = measures_of(table.cell.oscillator, table.attractors[index], weights)._asdict()
@@ -94,7 +96,7 @@ def _measured(table: "AttractorTable", index: int, weights: "Array") -> dict[str
 
 
 def _shocked(table: "AttractorTable", index: int, weights: "Array") -> dict[str, Any]:
-    """Return the minimal fatal shock of an attractor of the table."""
+    """Return the minimal fatal shock of the attractor ``index`` of the table, as results by name."""
     from atlas.robustness.fatal_shock import shock_of
 
     shock = shock_of(table, index, weights)

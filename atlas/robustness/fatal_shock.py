@@ -1,12 +1,13 @@
-"""The minimal fatal shock: the smallest deviation at a section that takes a motion to another attractor.
+"""The minimal fatal shock: the smallest deviation at a time t = k T that takes a motion to another attractor.
 
-    min |W dz|  over deviations dz of the section states z_k of an attractor from which z_k + dz reaches another one
+    min |W dz|  over deviations dz of the attractor's states z_k at t = k T from which z_k + dz reaches another one
 
-Any fatal shock is an upper bound, so the search only has to find small ones. It begins with the nearest states that are
-known to reach another attractor, and improves the best few. Rays in directions near that of the best shock are tried at
-smaller sizes; if none is fatal, nearer directions are tried. The best shock is bisected along its ray. Then states that
-fill the ball of its size evenly are tried. The search begins again from any fatal state, and ends if there is none. A
-part of that ball that is fatal throughout, with the share ``unseen`` of its volume, is missed in one search of twenty.
+T is the forcing period, and W the diagonal matrix of the norm's weights. Any fatal shock is an upper bound, so the
+search only has to find small ones. It begins with the nearest states that are known to reach another attractor, and
+improves the best few. Rays in directions near that of the best shock are tried at smaller sizes; if none is fatal,
+nearer directions are tried. The best shock is bisected along its ray. Then states that fill the ball of its size evenly
+are tried. The search begins again from any fatal state, and ends if there is none. A part of that ball that is fatal
+throughout, with the share ``unseen`` of its volume, is missed in one search of twenty.
 
 Halekotte & Feudel, Sci. Rep. 10 (2020) 11783.
 """
@@ -26,16 +27,16 @@ from workers.results import BEYOND_TABLE, INVALID, UNKNOWN_LABEL
 
 Labels = NDArray[np.int64]
 Reached = Callable[[Array], Labels]
-"""Function that returns the attractor that each physical section state (N, 2n) reaches.
+"""Function that returns the attractor that each state (N, 2n) at the start of a forcing period reaches.
 
 The result is UNKNOWN_LABEL if the attractor is unknown, and NO_MOTION if the state lies beyond a stop.
 """
 
 CHAOS_STATES = 64
-"""Number of section states from which shocks of chaos and tori begin; an orbit has all of its states."""
+"""Number of states at t = k T of chaos or a torus from which shocks begin; of an orbit, all states are used."""
 
 NO_MOTION = -3
-"""Label of a state at which no motion begins."""
+"""Label of a state from which no motion can begin, since it lies beyond a stop."""
 
 CANDIDATES, DIRECTIONS, SIZES = 4, 8, 6
 """Numbers of shocks improved together, of directions tried about a shock in a round, and of sizes per direction."""
@@ -47,17 +48,17 @@ A smooth boundary is met at distances that differ by half of the angle's square.
 """
 
 PARTS, EXACT = 8, 1e-9
-"""Number of parts into which an interval along a ray is divided at once, and relative length of the last interval."""
+"""Number of parts into which an interval of sizes is divided at once, and relative length of the last interval."""
 
 BEGINNINGS = 8
-"""Maximum number of searches, each from a smaller shock than the last."""
+"""Maximum number of searches for a fatal shock, each from a smaller shock than the last."""
 
 
 class FatalShock(NamedTuple):
-    """A fatal shock of an attractor.
+    """The smallest shock found that takes a motion from one attractor to another.
 
-    size         size |W dz|
-    phase        index of the section state from which the shock leads
+    size         size |W dz| of the deviation dz, with the diagonal matrix W of the norm's weights
+    phase        index of the attractor's state at t = k T to which the deviation is added
     state (2n,)  the state after the shock
     reached      label of the attractor reached from that state
     safe         largest smaller size tried along the same ray that is not fatal
@@ -77,11 +78,11 @@ class FatalShock(NamedTuple):
 def minimal_fatal_shock(
     reached: Reached, label: int, states: Array, weights: Array, known: Array, seed: int = 0, tries: int = 256
 ) -> FatalShock | None:
-    """Return the smallest fatal shock found; None if no known state reaches another attractor.
+    """Return the smallest shock found from an attractor to another; None if no known state reaches another attractor.
 
     reached         function that returns the label of the attractor that states reach
     label           label of the attractor
-    states (p, 2n)  section states of the attractor
+    states (p, 2n)  states of the attractor at t = k T, the start of each forcing period
     weights (2n,)   weights of the norm
     known (K, 2n)   states from which another attractor is reached
     seed            seed of the random directions and of the ball
@@ -102,10 +103,14 @@ def minimal_fatal_shock(
 
 
 def shock_of(table: AttractorTable, label: int, weights: Array) -> FatalShock | None:
-    """Return the minimal fatal shock of the attractor with this label; None if no other attractor is known.
+    """Return the smallest shock found that takes motion from one attractor to another; None if no other is known.
 
-    The states known to reach another attractor are initial states of the table, and the section states of the other
-    attractors.
+    table           attractors of one machine
+    label           label of the attractor from which the shock leads
+    weights (2n,)   weights of the norm
+
+    The states known to reach another attractor are initial states of the table, and the states of the other attractors
+    at t = k T.
     """
     count = max(CHAOS_STATES, *(attractor.period for attractor in table.attractors))
     sections = section_points(table, count)
@@ -119,7 +124,7 @@ def shock_of(table: AttractorTable, label: int, weights: Array) -> FatalShock | 
 
 
 def reached_labels(table: AttractorTable, states: Array) -> Labels:
-    """Return the label of the attractor that each physical section state (N, 2n) reaches.
+    """Return the label of the attractor that each state (N, 2n) at the start of a forcing period reaches.
 
     The label is BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, and UNKNOWN_LABEL if
     not known.
@@ -135,11 +140,11 @@ def reached_labels(table: AttractorTable, states: Array) -> Labels:
 
 
 class _Shocks(NamedTuple):
-    """Fatal shocks, the smallest first.
+    """K fatal shocks, each a deviation from a state of the attractor at t = k T.
 
-    phase (K,)         indices of the section states
-    direction (K, 2n)  directions, of norm 1 after W
-    size (K,)          sizes
+    phase (K,)         indices of these states
+    direction (K, 2n)  directions of the deviations, of length 1 after multiplication by the weights
+    size (K,)          sizes of the deviations in the norm
     """
 
     phase: Labels
@@ -155,22 +160,22 @@ class _ShockSearch:
         self.reached, self.label, self.states, self.weights, self.rng = reached, label, states, weights, rng
 
     def at(self, phase: Labels, direction: Array, size: Array) -> Array:
-        """Return the states (..., 2n) after the shocks."""
+        """Return the states (..., 2n) after shocks from the attractor's states ``phase``, by direction and size."""
         return self.states[phase] + size[..., None] * direction / self.weights
 
     def labels(self, states: Array) -> Labels:
         return self.reached(states.reshape(-1, states.shape[-1])).reshape(states.shape[:-1])
 
     def fatal(self, states: Array) -> NDArray[np.bool_]:
-        """Return the mask of states (..., 2n) that are known to reach another attractor."""
+        """Return the mask of the states (..., 2n) that are known to reach another attractor."""
         return self.others(self.labels(states))
 
     def others(self, labels: Labels) -> NDArray[np.bool_]:
-        """Return the mask of labels that are known to be those of another attractor."""
+        """Return the mask of the labels that are known to be those of another attractor."""
         return ~np.isin(labels, (self.label, UNKNOWN_LABEL, NO_MOTION))
 
     def shocks_to(self, states: Array) -> _Shocks:
-        """Return the shocks from the nearest section states to these states (K, 2n), the smallest first."""
+        """Return the shocks from the attractor's nearest state to each of these states (K, 2n), the smallest first."""
         away = (states[:, None] - self.states) * self.weights
         sizes = np.linalg.norm(away, axis=2)
         phase, rows = sizes.argmin(axis=1), np.arange(len(states))
@@ -179,12 +184,15 @@ class _ShockSearch:
         return shocks.at_rows(np.argsort(size, kind="stable"))
 
     def nearest(self, states: Array) -> _Shocks | None:
-        """Return the smallest shocks to the fatal ones of these states (K, 2n); None if no state is fatal."""
+        """Return the smallest shocks that lead to fatal ones among the states (K, 2n); None if no state is fatal."""
         states = states[self.fatal(states)] if len(states) else states
         return self.shocks_to(states).at_rows(np.arange(min(CANDIDATES, len(states)))) if len(states) else None
 
     def improved(self, shocks: _Shocks) -> _Shocks:
-        """Return the smallest shock to which rays near these shocks lead."""
+        """Return the smallest fatal shock found on rays near the given fatal shocks.
+
+        Random directions near each shock are tried at smaller sizes, and ever nearer ones if none is fatal.
+        """
         angle = np.full(len(shocks.size), WIDEST)
         while len(rows := np.flatnonzero(angle > NARROWEST)):
             phase, direction, size = shocks.at_rows(rows)
@@ -202,8 +210,9 @@ class _ShockSearch:
         return shocks.at_rows(np.array([np.argmin(shocks.size)]))
 
     def _near(self, direction: Array, angle: Array) -> Array:
-        """Return directions (K, DIRECTIONS + 1, 2n): each of (K, 2n) first, then random ones at these angles (K,) to
-        it.
+        """Return the given directions (K, 2n), each with random ones near it, as an array (K, DIRECTIONS + 1, 2n).
+
+        ``angle`` (K,) is the angle between a given direction and the random ones.
         """
         across = self.rng.standard_normal((len(direction), DIRECTIONS, direction.shape[1]))
         across -= np.vecdot(across, direction[:, None])[..., None] * direction[:, None]
@@ -212,8 +221,9 @@ class _ShockSearch:
         return np.concatenate([direction[:, None], np.cos(angles) * direction[:, None] + np.sin(angles) * across], 1)
 
     def bisected(self, one: _Shocks) -> _Shocks:
-        """Return a shock shortened as far as possible along its ray; set ``safe`` to the size just below that is not
-        fatal.
+        """Return a fatal shock shortened as far as possible along its direction.
+
+        Set ``safe`` to the size just below it that is not fatal.
         """
         low, high = 0.0, float(one.size[0])
         while high - low > EXACT * high:
@@ -225,8 +235,10 @@ class _ShockSearch:
         return one._replace(size=np.array([high]))
 
     def within(self, size: float, ball: Array) -> tuple[_Shocks | None, int]:
-        """Return the smallest fatal shocks to states that fill a ball of this size; None, and the number tried, if
-        there is none.
+        """Return the smallest fatal shocks among states that fill a ball of size ``size`` evenly, and 0.
+
+        If none is fatal, return None and the number of the states that return to the attractor. ``ball`` are the points
+        of the unit ball.
         """
         phase = np.arange(len(ball)) % len(self.states)
         states = self.at(phase, ball, np.full(len(ball), size))
@@ -240,7 +252,7 @@ class _ShockSearch:
         return _Shocks(phase[fatal][order], direction[order], sizes[order]), 0
 
     def reported(self, best: _Shocks, tried: int) -> FatalShock:
-        """Return the result for the user."""
+        """Return the smallest shock ``best`` as the search's result; ``tried`` states in its ball are not fatal."""
         state = self.at(best.phase, best.direction, best.size)
         reached = int(self.labels(state)[0])
         unseen = float(unseen_share(tried)) if tried else 1.0

@@ -1,4 +1,7 @@
-"""The job that measures some cells of a tile on a worker."""
+"""The job that measures the stability of some cells of a tile on a worker.
+
+Its result is kept in the store as a part, an intermediate result, until all cells are measured.
+"""
 
 import io
 import time
@@ -28,21 +31,24 @@ CELLS_PER_JOB = {LINEAR: 2048, SHOCKS: 4}
 
 
 def group_of(family: str) -> str:
-    """Return the group of a family's parts during measurement; another request has other parts."""
+    """Return the group of the store with the parts (intermediate results) for a family of measures.
+
+    The parts of one request cannot serve another, since its measures differ.
+    """
     return f"{STABILITY}/{family}"
 
 
 @dataclass(frozen=True)
 class MeasureJob:
-    """A job for some cells of a tile. ``measure_and_keep`` runs it locally.
+    """A job that computes measures of some cells of a tile; ``measure_and_keep`` runs it.
 
     index      index of the job
-    name       name of the part for the measures
-    family     family of measures
+    name       name of the part, the intermediate result in the store, for the measures
+    family     family of measures that are computed together
     tile       index of the tile
-    first      first cell, in C order
+    first      first cell of the tile, in C order
     last       end of the cells, exclusive
-    norm       weights of the norm, by component
+    norm       weights of the norm, by component of the state
     store_ref  reference to the store
     """
 
@@ -57,12 +63,16 @@ class MeasureJob:
 
     @property
     def part(self) -> str:
-        """The group and the name of the part."""
+        """The name of the part (the intermediate result) in the store, with its group."""
         return f"{STABILITY}/{self.name}"
 
 
 def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
-    """Yield (name, tile, first cell, end of the cells) of each part for the measures of a family."""
+    """Yield the division of an atlas's cells into jobs for a family of measures.
+
+    Each item is the name of the job's intermediate result, the index of the tile, the first cell, and the end of the
+    cells.
+    """
     for tile in (one.index for one in handle.tiling.tiles()):
         count, most = int(np.prod(handle.tiling.at(tile).shape)), CELLS_PER_JOB[family]
         for first in range(0, count, most):
@@ -70,7 +80,7 @@ def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ..
 
 
 def measure_and_keep(job: MeasureJob) -> PartReport:
-    """Measure some cells and write the measures as a part of the store."""
+    """Compute the measures of a job's cells, write them as a part (an intermediate result) of the store, and report."""
     handle = job.store_ref.open()
     with translate_file_errors(job.store_ref.store):
         cells = columns_of(handle, NEEDED, job.tile)
@@ -85,7 +95,10 @@ def measure_and_keep(job: MeasureJob) -> PartReport:
 
 
 def read_measured(handle: AtlasStore, name: str) -> Arrays:
-    """Return the measures of a part. Raise RefusedError if there is none."""
+    """Return the measures of a part, the intermediate result of a job, by name.
+
+    Raise RefusedError if it does not exist.
+    """
     with np.load(io.BytesIO(stored_part(handle, STABILITY, name))) as arrays:
         return dict(arrays)
 

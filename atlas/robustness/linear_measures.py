@@ -1,7 +1,7 @@
 """Measures of an attracting orbit that follow from its linearised map: return time, reactivity, amplification.
 
-An orbit of p forcing periods T has section states z_1, ..., z_p and Jacobians J_k = DP(z_k) of one forcing period: a
-small deviation dz of z_k is J_k dz one period later. In the norm |W dz| of ``norm.weights_of``:
+An orbit of p forcing periods T has states z_1, ..., z_p at t = k T, and Jacobians J_k = DP(z_k) of the map P over one
+period: a small deviation dz of z_k is J_k dz one period later. In the norm |W dz| of ``norm.weights_of``:
 
     return time     -1 / lambda_1 in forcing periods, lambda_1 the largest Lyapunov exponent per period
     reactivity      max_k ln |W J_k W^-1|, the fastest growth over one period; above 0 a deviation can grow before it
@@ -32,7 +32,7 @@ MAX_PRODUCTS = 100_000
 """Maximum number of matrix products in the search for the growth of deviations."""
 
 AT_SECTION = 1e-9
-"""Share of a period before and after the section within which an impact counts as at the section."""
+"""Share of a period before and after t = k T within which an impact counts as an impact at t = k T."""
 
 ENDLESS = 1e-10
 """Decay per forcing period below which a deviation is considered persistent."""
@@ -58,10 +58,10 @@ FLAGS = ("no_orbit", "touches_stop", "sticks", "drifts", "lasting", "long", "los
 
 
 class OrbitPhases(NamedTuple):
-    """An orbit at its sections.
+    """A periodic orbit at t = k T, the start of each of its p forcing periods T.
 
-    states (p, 2n)         section states, physical
-    jacobians (p, 2n, 2n)  Jacobians of one forcing period there
+    states (p, 2n)         states in physical coordinates
+    jacobians (p, 2n, 2n)  Jacobians of the map over one forcing period at these states
     """
 
     states: Array
@@ -69,13 +69,13 @@ class OrbitPhases(NamedTuple):
 
 
 class LinearMeasures(NamedTuple):
-    """The measures of an orbit, with the names of a store's table.
+    """The measures of an orbit that follow from its linearisation, with the names that they have in a store.
 
-    return_time      return time in forcing periods, NaN if unknown
-    reactivity       largest log growth over one period, NaN if unknown
-    amplification    largest growth, NaN if unknown
-    amplified_after  number of periods m of the amplification, -1 if unknown
-    reason           reason why a measure is unknown, empty if all are known
+    return_time      return time in forcing periods; NaN if unknown
+    reactivity       largest log growth of a deviation over one period; NaN if unknown
+    amplification    largest growth of a deviation over any number of periods; NaN if unknown
+    amplified_after  number of periods m of the amplification; -1 if unknown
+    reason           reason why a measure is unknown; empty if all are known
     """
 
     return_time: float = np.nan
@@ -86,9 +86,9 @@ class LinearMeasures(NamedTuple):
 
 
 def measures_of(oscillator: Oscillator, attractor: Attractor, weights: Array) -> LinearMeasures:
-    """Return the measures of an attractor, in the norm of weights (2n,).
+    """Return the return time, reactivity and amplification of an attractor, in the norm with ``weights`` (2n,).
 
-    ``oscillator`` is a record with one machine.
+    ``oscillator`` is a record with one machine, that of the attractor.
     """
     if attractor.regime not in STABLE:
         return LinearMeasures(reason=NO_ORBIT)
@@ -106,9 +106,9 @@ def measures_of(oscillator: Oscillator, attractor: Attractor, weights: Array) ->
 
 
 def phases_of(oscillator: Oscillator, orbit: Attractor) -> OrbitPhases | str:
-    """Return an orbit at its sections, or the reason if its map has no Jacobian there.
+    """Return a periodic orbit with its Jacobians at t = k T, or the reason why a Jacobian does not exist.
 
-    ``oscillator`` is a record with one machine.
+    ``oscillator`` is a record with one machine, that of the orbit.
     """
     if oscillator.drifts:
         return DRIFTS
@@ -129,9 +129,13 @@ def phases_of(oscillator: Oscillator, orbit: Attractor) -> OrbitPhases | str:
 
 
 def one_period(oscillator: Oscillator, h: Array, mode: int) -> tuple[Motion, Array]:
-    """Return the motion one period after block state h (n, 2), and the Jacobian (2n, 2n) of physical states.
+    """Return the motion after one forcing period, and the Jacobian (2n, 2n) of the map over this period.
 
-    ``oscillator`` is a record with one machine.
+    oscillator   record with one machine
+    h (n, 2)     state at the start of the period, in the coordinates in which the equations are decoupled
+    mode         number of the law of motion at the start, by which contacts are open and which frictions slide
+
+    The Jacobian is that of physical states.
     """
     none, one = (np.zeros(0), np.zeros((0, 0))), (1, np.bool_(False))
     osc = take_one(oscillator, 0)
@@ -140,14 +144,17 @@ def one_period(oscillator: Oscillator, h: Array, mode: int) -> tuple[Motion, Arr
 
 
 def not_smooth(oscillator: Oscillator, states: Array) -> str:
-    """Return why the map has no derivative at one of these section states (p, 2n), "" if it has one everywhere."""
+    """Return why the map over a forcing period has no derivative at one of these states (p, 2n); empty if it has."""
     if touches_a_stop(oscillator, states):
         return TOUCHES
     return JUMPS if slips_at_a_push(oscillator, states) else ""
 
 
 def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
-    """Return True if one of these section states (p, 2n) is on a rigid stop, to within AT_SECTION periods."""
+    """Return True if one of these states (p, 2n), at the start of a period, lies on a rigid stop.
+
+    A state counts as on the stop if the motion reaches it within AT_SECTION periods.
+    """
     n, period = states.shape[1] // 2, float(oscillator.period[0])
     for row, *stops in oscillator.rigid_stops:
         y, v = states[:, :n] @ row[0], states[:, n:] @ row[0]
@@ -159,10 +166,10 @@ def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
 
 
 def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
-    """Return True if friction sticks at one of these section states (p, 2n) under a force above the kinetic friction.
+    """Return True if friction sticks at one of these states (p, 2n) under a force above the kinetic friction.
 
     A push along the force, however small, then starts sliding; a push against the force does not. The states must be
-    those of a motion of this machine.
+    those of a motion of this machine at the start of a forcing period.
     """
     if not oscillator.has_modes:
         return False
@@ -179,15 +186,19 @@ def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
 
 
 def reactivity(matrices: Array) -> float:
-    """Return the log of the largest 2-norm of matrices (p, d, d); -infinity if all are zero."""
+    """Return the largest log growth that one of the matrices (p, d, d) can give a vector, by its 2-norm.
+
+    The result is -infinity if all matrices are zero.
+    """
     with np.errstate(divide="ignore"):
         return float(np.log(np.linalg.norm(matrices, 2, axis=(1, 2)).max()))
 
 
 def amplification(matrices: Array, limit: int = MAX_PRODUCTS) -> tuple[float, int] | None:
-    """Return the largest 2-norm of products of consecutive matrices (p, d, d), cyclic, and the number of factors.
+    """Return the largest 2-norm of products of consecutive matrices (p, d, d), cyclic, and its number of factors.
 
-    The result is (1, 0) if no product has a norm above 1, and None if that is undecided after ``limit`` products.
+    The result is (1, 0) if no product has a norm above 1, and None if the largest is not known after ``limit``
+    products.
     """
     p = len(matrices)
     products, best = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape), (1.0, 0)

@@ -1,4 +1,4 @@
-"""The norm in which deviations of a section state are measured."""
+"""The norm in which deviations of a state are measured: a weighted Euclidean norm."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +13,7 @@ from workers.model.system import System
 
 
 def validate_weights(parameters: Mapping[str, Any] | None, system: System) -> dict[str, float]:
-    """Return the weights that a user gives, by component of the state.
+    """Return the weights of a norm that a user gives, by component of the state.
 
     Raise InputError for an unknown name or a weight that is not above 0.
 
@@ -35,10 +35,13 @@ def validate_weights(parameters: Mapping[str, Any] | None, system: System) -> di
 
 
 def weights_of(parameters: Mapping[str, float], system: System, period: float) -> Array:
-    """Return the weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2).
+    """Return the weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2) of a deviation dz of the state.
+
+    parameters   weights that a user gives, by component of the state
+    system       the system
+    period       forcing period T
 
     Weights that are not given are 1, and 1 / omega for velocities, so the norm has the unit of displacement by default.
-    ``period`` is the forcing period T.
     """
     n, time = len(system.states) // 2, period / (2.0 * np.pi * system.definition.turns)
     default = [1.0] * n + [time] * n
@@ -48,6 +51,6 @@ def weights_of(parameters: Mapping[str, float], system: System, period: float) -
 def weight_matrices(matrices: Array, weights: Array) -> Array:
     """Return W J W^-1 of matrices J (..., d, d), with W the diagonal matrix of weights (d,).
 
-    The 2-norm of a result is the norm of J.
+    The 2-norm of a result is the norm of J with respect to the weighted norm |W z|.
     """
     return np.asarray(weights[:, None] * matrices / weights)

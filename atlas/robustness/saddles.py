@@ -1,4 +1,4 @@
-"""The saddles between the basins of the attractors of one cell."""
+"""The saddles between the basins of one cell's attractors: unstable orbits on the boundaries."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -33,8 +33,9 @@ def saddles(
     norm: Mapping[str, float] | None = None,
     **named: Any,
 ) -> dict[str, Any]:
-    """Return the unstable orbits between the basins of one cell's attractors, exact, with the boundary's direction
-    there.
+    """Return the unstable orbits between the basins of one cell's attractors, with the direction of the boundary.
+
+    The orbits are exact: Newton's method solves for them.
 
     Parameters, ``starts`` and ``norm`` are as in ``atlas.stability``; attractors have their indices in
     ``atlas.attractors``. Each of ``saddles`` has:
@@ -42,7 +43,7 @@ def saddles(
     period       its period in forcing periods
     between      the two attractors whose basins meet at the saddle
     multipliers  multipliers as [real, imaginary], one of them outside the unit circle
-    states       its section states
+    states       its states at t = k T, the start of each forcing period
     normal       normal of the boundary at each state, a unit vector in the norm's coordinates w z
     slopes       for one mass, dv/dx along the boundary at each state
 
@@ -59,7 +60,7 @@ def saddles(
 
 
 def saddles_between(requested: AttractorSearch, norm: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """Return the ``saddles`` of an attractor search."""
+    """Return the results of ``saddles`` for an attractor search; ``norm`` gives weights of components of the state."""
     from atlas.robustness.boundary_tracking import saddles_of
 
     record = requested.record
@@ -73,7 +74,11 @@ def saddles_between(requested: AttractorSearch, norm: Mapping[str, float] | None
 
 
 def saddles_in(ds: "xr.Dataset", spec: "Spec", axes: Sequence[str]) -> "list[Array]":
-    """Return the section points (N, 2) of each saddle between the basins of one mass, in the order of ``axes``.
+    """Return the states of each saddle between the basins of an atlas of one mass, as points (N, 2) of its plane.
+
+    ds     dataset of the atlas
+    spec   spec of the atlas
+    axes   names of the components of the state across and up
 
     Raise InputError if the atlas is not one of basins of one mass.
     """

@@ -1,4 +1,7 @@
-"""The map of one machine over forcing periods, from section states to section states, both physical."""
+"""The map of one machine over forcing periods, from a state at t = k T to the state one or more periods later.
+
+All states are in physical coordinates.
+"""
 
 from functools import lru_cache
 
@@ -15,14 +18,17 @@ FIRST = np.zeros(1, dtype=np.int64)
 
 
 class SectionMap:
-    """The map P^m of a machine, whose record has one machine: images of many states, and the Jacobian at one state."""
+    """The map P^m of one machine over m forcing periods: images of many states, and the Jacobian at one state.
+
+    ``oscillator`` is a record with one machine.
+    """
 
     def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
         self.many = lru_cache(maxsize=4)(lambda count: at_rows(oscillator, np.zeros(count, dtype=np.int64)))
 
     def orbits(self, states: Array, periods: int) -> Array:
-        """Return the states (N, periods + 1, 2n) of motions from states (N, 2n).
+        """Return the states (N, periods + 1, 2n) at the start of each forcing period of motions from N states (N, 2n).
 
         States are NaN beyond a stop, and after a motion ends.
         """
@@ -34,14 +40,15 @@ class SectionMap:
         return np.full((len(states), periods + 1, states.shape[1]), np.nan)
 
     def images(self, states: Array, periods: int) -> Array:
-        """Return P^periods of states (N, 2n)."""
+        """Return the states ``periods`` forcing periods after given states (N, 2n)."""
         return np.asarray(self.orbits(states, periods)[:, -1])
 
     def orbit_with_jacobian(self, state: Array, periods: int) -> tuple[Array, Array, Array]:
-        """Return the states (periods, 2n) of a motion, its last state (2n,), and the Jacobian (2n, 2n) over all
-        periods.
+        """Return a motion from one state over some forcing periods: its states, its last state, and the Jacobian.
 
-        All are NaN if the motion cannot be followed.
+        The states (periods, 2n) are those at the start of each period, the last state (2n,) that at the end. The
+        Jacobian (2n, 2n) is that of the last state with respect to the first. All are NaN if the motion cannot be
+        followed.
         """
         size = len(state)
         motions, _ = begin(self.oscillator, np.full(1, NO_REASON, dtype=np.int8), state[None])

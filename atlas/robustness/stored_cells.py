@@ -1,4 +1,4 @@
-"""The measures of the attractors of many cells, from stored results."""
+"""Stability measures of the attractors of many cells, from their stored results."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -24,12 +24,12 @@ from workers.settings import Settings
 def linear_measures(
     system: System, params: Mapping[str, Array], cells: Mapping[str, NDArray[Any]], norm: Mapping[str, float]
 ) -> Arrays:
-    """Return return time, reactivity and amplification of attractors (N, keep) of cells.
+    """Return the return time, reactivity and amplification of the attractors (N, keep) of N cells, by name.
 
     system  system of the cells
     params  (N,) parameters of the cells, by name
-    cells   regime, period, largest (N, keep), and state (N, keep, 2n): a section state of each attractor
-    norm    weights of the norm, by component
+    cells   regime, period, largest (N, keep), and state (N, keep, 2n): a state of each attractor at t = k T
+    norm    weights of the norm, by component of the state
     """
     regime = cells["regime"]
     measures = empty(of_family(LINEAR), regime.shape)
@@ -64,9 +64,11 @@ def shock_measures(
     settings: Settings,
     starts: AttractorSettings,
 ) -> Arrays:
-    """Return the minimal fatal shocks of attractors (N, keep) of cells; arguments are as in ``linear_measures``.
+    """Return the minimal fatal shocks of the attractors (N, keep) of N cells, by name.
 
-    The attractors of a cell are found again from the same initial states; one that is not found again has no shock.
+    Arguments are as in ``linear_measures``; ``settings`` and ``starts`` are those of the solver and of the search for
+    attractors. The attractors of a cell are found again from the same initial states; one that is not found again has
+    no shock.
     """
     measures = empty(of_family(SHOCKS), cells["regime"].shape)
     for n in np.flatnonzero(np.isin(cells["regime"], ON_ATTRACTOR).any(axis=1)).tolist():
@@ -88,8 +90,9 @@ def shock_measures(
 
 
 def _place(attractor: Attractor, cell: Mapping[str, NDArray[Any]]) -> int:
-    """Return the index (keep,) of the stored attractor of a cell that is this attractor; UNKNOWN_LABEL if there is
-    none.
+    """Return the index (keep,) of the stored attractor of a cell that equals ``attractor``.
+
+    Return UNKNOWN_LABEL if none of the stored attractors does.
     """
     state = np.asarray(attractor.result["state"])
     same = (cell["regime"] == attractor.regime) & (cell["period"] == int(attractor.result["period"]))

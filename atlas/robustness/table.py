@@ -1,4 +1,4 @@
-"""The stability measures of an atlas, and the group ``stability`` of a store that has them."""
+"""The stability measures of an atlas, and the group ``stability`` of a store in which they are kept."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ LINEAR, SHOCKS = FAMILIES = ("linear", "shocks")
 
 @dataclass(frozen=True)
 class MeasureVariable(Variable):
-    """A measure of each attractor; ``family`` is its family."""
+    """The description of a stability measure; measures of one ``family`` are computed together."""
 
     family: str = ""
 
@@ -54,11 +54,11 @@ _FAMILIES = {
     ),
 }
 MEASURES = {measure.name: replace(measure, family=family) for family, some in _FAMILIES.items() for measure in some}
-"""All measures by name."""
+"""The descriptions of all measures, by name."""
 
 
 def of_family(family: str) -> list[MeasureVariable]:
-    """Return the measures of a family."""
+    """Return the descriptions of the measures of a family."""
     return [measure for measure in MEASURES.values() if measure.family == family]
 
 
@@ -69,10 +69,10 @@ def empty(measures: Iterable[MeasureVariable], shape: tuple[int, ...]) -> Arrays
 
 @dataclass(frozen=True, eq=False)
 class StoredMeasures:
-    """The measures of a store.
+    """The stability measures that a store holds.
 
     arrays    values by name of the measure
-    requests  request that decided the measures, by family
+    requests  settings, such as the weights of the norm, from which the measures were computed, by family
     """
 
     arrays: Arrays
@@ -80,7 +80,7 @@ class StoredMeasures:
 
 
 def read_measures(handle: AtlasStore) -> StoredMeasures:
-    """Return the measures of a store; none if there are none, if they are damaged, or of another version."""
+    """Return the stability measures of a store; empty if it has none, or if they are damaged or of another version."""
     arrays, attributes = current_group(handle, STABILITY, VERSION) or ({}, {})
     requests = {family: dict(attributes[family]) for family in FAMILIES if family in attributes}
     return StoredMeasures({name: arrays[name] for name in MEASURES if name in arrays}, requests)

@@ -1,1 +1,3 @@
-"""The service: coordinators, workers and commands that compute and watch stores."""
+"""Functions that compute and watch stores: runs of an atlas on Dask workers, searches on a finished atlas, leases,
+status.
+"""

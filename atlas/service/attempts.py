@@ -1,4 +1,4 @@
-"""One try of a job on a Dask worker, and its outcome as a value that names the worker."""
+"""Run one attempt at a job on a Dask worker, and describe its outcome, with the name of the worker, as a value."""
 
 import time
 import traceback
@@ -12,7 +12,7 @@ from atlas.task.store_ref import StoreFullError, WorkerRefusedError
 
 
 class IndexedJob(Protocol):
-    """A job with an index, which identifies it."""
+    """A job that is sent to a worker, with an index that identifies it."""
 
     @property
     def index(self) -> tuple[int, ...]:
@@ -24,7 +24,7 @@ R = TypeVar("R")
 
 
 class Ending(Enum):
-    """How an attempt ended.
+    """How an attempt at a job ended.
 
     DONE         with a report
     REFUSED      the worker must not or cannot do jobs of this run
@@ -49,7 +49,7 @@ _ENDING_OF_ERROR: dict[type[Exception], Ending] = {
 
 @dataclass(frozen=True)
 class AttemptOutcome(Generic[R]):
-    """The outcome of an attempt.
+    """The outcome of an attempt at a job.
 
     worker     address of the worker; empty if unknown
     ending     how it ended
@@ -71,10 +71,10 @@ class AttemptOutcome(Generic[R]):
 
 @dataclass(eq=False)
 class OpenJob(Generic[J]):
-    """A job without an outcome.
+    """A job that has neither a report nor been given up.
 
     job        the job
-    failures   failures of its attempts
+    failures   outcomes of its failed attempts
     n_flying   number of its attempts in flight
     is_copied  True if it took long, and a second worker has got it
     """
@@ -86,18 +86,23 @@ class OpenJob(Generic[J]):
 
     @property
     def n_deaths(self) -> int:
-        """Number of its attempts that ended with the death of their workers."""
+        """Number of attempts at the job that ended with the death of their workers."""
         return sum(failure.is_death for failure in self.failures)
 
     @property
     def n_errors(self) -> int:
-        """Number of its attempts that ended with an exception."""
+        """Number of attempts at the job that ended with an exception."""
         return len(self.failures) - self.n_deaths
 
 
 @dataclass(frozen=True, eq=False)
 class JobAttempt(Generic[J]):
-    """An attempt in flight: its job, the workers that it is restricted to, its begin in seconds of ``monotonic``."""
+    """An attempt at a job that is submitted to Dask and has not ended.
+
+    open_job  the job
+    workers   addresses of the workers that may run it; None for all
+    since     its begin in seconds of ``time.monotonic``
+    """
 
     open_job: OpenJob[J]
     workers: tuple[str, ...] | None
@@ -105,7 +110,10 @@ class JobAttempt(Generic[J]):
 
 
 def run_attempt(act: Callable[[J], R], job: J) -> AttemptOutcome[R]:
-    """Do a job on this worker and return the outcome, which names the worker; an exception is one kind of outcome."""
+    """Run ``act`` on a job in this worker and return the outcome, which names the worker.
+
+    Exceptions are caught: an attempt that raises has an outcome, too.
+    """
     from distributed import get_worker
 
     worker, begin = get_worker().address, time.perf_counter()
@@ -118,9 +126,9 @@ def run_attempt(act: Callable[[J], R], job: J) -> AttemptOutcome[R]:
 
 
 def outcome_of_error(error: BaseException) -> AttemptOutcome[Any]:
-    """Return the outcome of an attempt that never returned, from Dask's error.
+    """Return the outcome of an attempt whose function never returned, from the error that Dask reports instead.
 
-    Raise RunError if the scheduler cannot load this package.
+    The worker died, for example. Raise RunError if the scheduler cannot load this package.
     """
     from distributed import KilledWorker
 

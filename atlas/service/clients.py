@@ -1,4 +1,4 @@
-"""The Dask client of a run: a given client, that of a scheduler, an active one, or that of a local cluster."""
+"""The Dask client of a run: the given client, that of a scheduler, an active one, or that of a new local cluster."""
 
 from contextlib import ExitStack
 from functools import partial
@@ -43,7 +43,9 @@ def start_client(client: "Client | None", count: int, options: RunOptions, stack
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:
-    """Raise InputError if ``client`` is no client, or if a number of workers is given together with a client."""
+    """Raise InputError if ``client`` is not a Dask client, or if a number of workers is given together with a
+    client.
+    """
     if client is not None:
         check_kind(client)
     if client is not None and options.workers is not None:
@@ -65,7 +67,6 @@ def connect_client(client: "Client | None", options: RunOptions, stack: ExitStac
     the scheduler cannot draw.
     """
     if client is None and options.scheduler is not None:
-        options.report(Progress(f"connecting to {options.scheduler}", transient=True))
         client = stack.enter_context(connect_to_scheduler(options.scheduler, options.tls, options.timing))
     elif client is None and options.workers is None:
         task = task_client()
@@ -78,7 +79,7 @@ def connect_client(client: "Client | None", options: RunOptions, stack: ExitStac
 
 
 def worker_count(client: "Client | None", options: RunOptions) -> int:
-    """Return the number of threads of a run's cluster, or of processes that will be started.
+    """Return the number of threads of a run's cluster; without a client, the number of processes that will be started.
 
     Raise InputError if this process cannot start processes.
     """
@@ -93,7 +94,7 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 def check_report(client: "Client | None", options: RunOptions) -> None:
     """Raise InputError if the options ask for a performance report that the scheduler cannot draw.
 
-    Without a client this process is going to be the scheduler.
+    Without a client the scheduler will run in this process.
     """
     if options.performance_report is None:
         return

@@ -24,9 +24,11 @@ if TYPE_CHECKING:
 DASHBOARD = "127.0.0.1:8787"
 """Address of the dashboard: Dask's default port, so that a browser or a tunnel may stay open from run to run."""
 LOST_WORKER_TIMEOUT = "10 minutes"
-"""Time in which a worker process that died must be back: on a busy host it may take longer than Dask's 15 s."""
+"""Time within which a worker process that died must be restarted. On a busy host this may exceed Dask's default of 15
+s.
+"""
 LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application")
-"""Loggers to which Dask gives a level and a handler of their own when it is imported; others have those of a parent."""
+"""Loggers whose level and handler Dask sets when it is imported; all other loggers inherit those of a parent."""
 CLUSTER_LOST_MESSAGE = "the cluster was lost; rerun the same command to resume from the stored tiles"
 
 
@@ -52,9 +54,8 @@ class Tls:
 
 
 def _security(tls: Tls | None) -> "Security":
-    """Return Dask's Security by its configuration (``distributed.comm.tls``).
-
-    The given files replace those of the configuration.
+    """Return Dask's TLS settings, from its configuration ``distributed.comm.tls`` and the given files, which take
+    precedence.
     """
     from distributed import Security
 
@@ -88,7 +89,10 @@ def connect_to_scheduler(scheduler: str, tls: Tls | None = None, timing: Timing 
 
 
 async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
-    """Connect to the scheduler and close the connection; raise an exception if nothing answers."""
+    """Check that a scheduler answers: connect to it within ``seconds``, and close the connection.
+
+    Raise an exception if nothing answers.
+    """
     from distributed import connect
 
     comm = await connect(scheduler, timeout=seconds, **security.get_connection_args("client"))
@@ -160,7 +164,9 @@ def has_dashboard() -> bool:
 
 
 def dashboard_link(client: "Client") -> str:
-    """Return the address of a cluster's dashboard, by ``distributed.dashboard.link``; empty if it is unknown."""
+    """Return the address of a cluster's dashboard, built by Dask's setting ``distributed.dashboard.link``; empty if
+    unknown.
+    """
     try:
         return client.dashboard_link or ""
     except (KeyError, ValueError):  # the user's template names a variable that this environment does not have
@@ -171,9 +177,10 @@ def dashboard_link(client: "Client") -> str:
 def performance_reported(
     client: "Client", path: str | os.PathLike[str] | None, failed: Callable[[str], None]
 ) -> Iterator[None]:
-    """Write Dask's performance report of the block into an HTML file that needs no network; nothing if path is None.
+    """Record Dask's performance report of the block, and write it as an HTML file that needs no network.
 
-    If the report cannot be written at the end, the run is unaffected, and ``failed`` is called with the reason.
+    Do nothing if ``path`` is None. If the report cannot be written at the end, the run is unaffected, and ``failed`` is
+    called with the reason.
     """
     if path is None:
         yield
@@ -195,7 +202,7 @@ def performance_reported(
 
 @contextmanager
 def loss_reported(client: "Client") -> Iterator[None]:
-    """Raise RunError in place of Dask's errors if the cluster is lost within the block."""
+    """Convert Dask's errors about a lost cluster, raised within the block, into a RunError."""
     from distributed import CancelledError
     from distributed.comm import CommClosedError  # type: ignore[attr-defined]  # exported without __all__
 
@@ -225,7 +232,7 @@ def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
 
 
 def active_client() -> "Client | None":
-    """Return the client that the caller has open, Dask's default client; None if there is none."""
+    """Return Dask's default client, the client that the caller has open; None if there is none."""
     if "distributed" not in sys.modules:
         return None
     from distributed import default_client
@@ -237,7 +244,7 @@ def active_client() -> "Client | None":
 
 
 def task_client() -> "AbstractContextManager[Client] | None":
-    """Return the client of the Dask task that this is called in; None outside a task.
+    """Return the client of the Dask task in which this function is called; None outside a task.
 
     While the client is in use, the task leaves its thread to other tasks.
     """
@@ -282,7 +289,7 @@ def count_threads(
 
 
 def leave_if_bootstrapping() -> None:
-    """End a worker process that imports its parent's script: a script without a ``__main__`` guard gets here.
+    """End a worker process that runs its parent's script again because the script has no ``__main__`` guard.
 
     The parent then explains the guard; an exception here would print a traceback for every worker.
     """
@@ -293,7 +300,10 @@ def leave_if_bootstrapping() -> None:
 
 @contextmanager
 def _quiet(*more: str) -> Iterator[None]:
-    """Keep the logs of Dask and of the packages ``more`` off the terminal, since outcomes and errors are values."""
+    """Keep log messages of Dask, and of the packages ``more``, off the terminal within the block.
+
+    Outcomes and errors are returned or raised, so the messages would only repeat them.
+    """
     before = {logger: logger.level for logger in map(logging.getLogger, (*LOGGERS, *more))}
     for logger in before:
         logger.setLevel(logging.CRITICAL)

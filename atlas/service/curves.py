@@ -1,4 +1,7 @@
-"""Finding a plane's curves on the workers: stages of jobs, whose parts are kept in the store, then the curves."""
+"""Find the curves of a finished two-parameter atlas on the workers, and write them into its store.
+
+The search is a sequence of stages of jobs. Results of jobs are kept in the store as parts, so that a search resumes.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.argument_checks import validate_type
 from atlas.errors import ChunkError
-from atlas.formatting import duration, plural, text_repr
+from atlas.formatting import Summary, duration, plural
 from atlas.orbits.curves.job import CurveJob, read_part, run_and_store
 from atlas.orbits.curves.plane import plane_of
 from atlas.orbits.curves.search import CurveSearch
@@ -28,8 +31,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-@dataclass(frozen=True)
-class CurveSummary(PartCost):
+@dataclass(frozen=True, repr=False)
+class CurveSummary(PartCost, Summary):
     """The curves of a store, and the cost of finding them.
 
     store   path or URL of the store
@@ -55,9 +58,9 @@ class CurveSummary(PartCost):
             "workers": self.workers,
         }
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The curves, the borders that they explain, and the cost, as sentences."""
         facts = self.as_dict()
         kinds = ", ".join(f"{kind} {count}" for kind, count in facts["kinds"].items())
         lines = [f"{self.store}: {plural(len(self.curves), 'curve')}" + (f" ({kinds})" if kinds else "")]
@@ -77,7 +80,7 @@ class CurveSummary(PartCost):
             lines.append(f"budget spent: {plural(facts['events_not_followed'], 'event')} not followed")
         lines += [_why_line(location) for location in facts["unexplained"]]
         lines += [f"{plural(count, 'place')}: {text}" for text, count in facts["troubles"].items()]
-        return "\n".join(lines)
+        return [(line,) for line in lines]
 
 
 @with_fields
@@ -133,8 +136,8 @@ def _stored(handle: AtlasStore, digest: str) -> Curves | None:
 def _progress(search: CurveSearch) -> Progress:
     settled, edges = search.n_settled, len(search.edges)
     curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
-    stage = f"{search.doing}: {curves}, {settled} of {edges} edges settled"
-    return Progress(stage, cells=edges, cells_done=settled)
+    detail = f"{curves}, {settled} of {edges} edges settled"
+    return Progress(search.doing, cells=edges, cells_done=settled, detail=detail)
 
 
 def _why_line(unexplained: Mapping[str, Any]) -> str:

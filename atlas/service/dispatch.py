@@ -1,9 +1,12 @@
 """Sending jobs to the workers of a Dask cluster and collecting their reports.
 
 Dask places the jobs, moves them to idle workers, and repeats those of workers that die. Added here is what Dask does
-not know: a window of jobs in flight, since the jobs of a large atlas would take gigabytes of the scheduler; another
-worker for a job that failed, since Dask's own retries may choose the same one; a second attempt elsewhere at a job that
-takes too long; and workers at which jobs fail that succeed elsewhere.
+not provide:
+
+- a limit on the jobs in flight, since the jobs of a large atlas would take gigabytes of the scheduler;
+- another worker for a job that failed, since Dask's own retries may choose the same worker;
+- a second attempt on another worker at a job that takes too long;
+- exclusion of workers at which jobs fail that succeed elsewhere.
 """
 
 import asyncio
@@ -31,40 +34,45 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 LOG = logging.getLogger(__name__)
-"""Decisions, and errors of workers with their tracebacks, at level DEBUG."""
+"""Logger, at level DEBUG, of decisions about jobs and workers and of errors of workers with their tracebacks."""
 POLL_SECONDS, QUICK_POLL_SECONDS = 0.1, 0.01
-"""Seconds between two looks at the jobs in flight; jobs that finish meanwhile form a batch, which costs less.
+"""Seconds between two looks at the jobs in flight. Jobs that finish meanwhile are fetched together, which costs less.
 
-The second is for jobs that do not wait for a thread.
+QUICK_POLL_SECONDS applies if jobs are not queued for each thread.
 """
 IN_FLIGHT, MAX_IN_FLIGHT = 2, 64
-"""Number of jobs in flight for each thread, at least and at most: one running, one waiting, so that no thread idles."""
+"""Minimum and maximum number of jobs in flight for each thread: at least one running and one queued, so no thread
+idles.
+"""
 QUEUED_SECONDS = 10.0
-"""Seconds of work in flight for each thread. Dask's adaptive scaling adds workers while more than 5 s are queued."""
-SLOW = 20.0
-"""Factor on the median duration of a job.
+"""Seconds of work that are kept in flight for each thread.
 
-A job that is in flight for longer is given to a second worker, if ``Timing.hung`` has passed too.
+Dask's adaptive scaling adds workers while more than 5 s are queued.
+"""
+SLOW = 20.0
+"""Multiple of the median duration after which a job counts as slow and is given to a second worker as well.
+
+The job must also be in flight for longer than ``Timing.hung``.
 """
 MEDIAN_OF = 1001
-"""Number of last jobs whose durations give the median."""
+"""Number of most recently finished jobs whose durations give the median."""
 MAX_BLAMED = 3
-"""Number of jobs that failed on a worker and succeeded on another after which the worker is excluded."""
+"""Number of jobs after which a worker is excluded, if they failed on it and succeeded on another worker."""
 MAX_ERRORS, MAX_DEATHS = 3, 2
-"""Number of exceptions, and of deaths of its workers, after which a job is given up."""
+"""Numbers of failed attempts after which a job is given up: with an exception, and by the death of the worker."""
 MAX_FAILED_JOBS = 16
-"""Number of jobs that failed twice after which a run in which no job has succeeded ends."""
+"""Number of jobs that failed twice after which a run ends with an error if no job has succeeded yet."""
 MAX_ALLOWED = 64
 """Maximum number of workers that a job is restricted to; Dask keeps a copy of the list for each job."""
 MAX_NAMED = 3
 """Maximum number of workers that a message names."""
 MIN_WORKER_MEMORY = 500_000_000
-"""Bytes of memory that a worker needs. The kernels take most of them; Dask pauses a worker with a lower limit."""
+"""Minimum memory of a worker, in bytes. The kernels take most of it; Dask pauses a worker with a lower limit."""
 
 
 @dataclass(frozen=True)
 class WorkerStatus:
-    """The workers of a run.
+    """The state of a run's workers.
 
     threads   number of worker threads
     excluded  reasons for the exclusion of workers, by address
@@ -159,7 +167,7 @@ class Dispatcher(Generic[J, R]):
                 self._exclude(self._refused, worker, f"memory limit {byte_size(limit)} is below the {needed}")
 
     def _refresh(self) -> None:
-        """Update the workers from the cluster, which may grow and shrink, and take jobs from workers that hang."""
+        """Update the list of workers from the cluster, and give the jobs of lost or hanging workers to others."""
         threads, now = worker_threads(self.client), time.monotonic()
         if threads.keys() - self._threads.keys():
             self.require_memory(self.memory)
@@ -178,7 +186,7 @@ class Dispatcher(Generic[J, R]):
         self._copy_slow(now)
 
     def _copy_slow(self, now: float) -> None:
-        """Give jobs that take many times the median to second workers; the first outcome counts."""
+        """Send jobs that take many times the median duration to second workers as well; the first outcome counts."""
         old = {
             f: a for f, a in self._attempts.items() if now - a.since > self._timing.hung and not a.open_job.is_copied
         }
@@ -198,13 +206,13 @@ class Dispatcher(Generic[J, R]):
             self._submit(attempt.open_job)
 
     def _holders(self) -> dict[Any, str]:
-        """Return the worker of each job that a worker has, by Dask's key."""
+        """Return the address of the worker that has each submitted job, by Dask's key of the job."""
         with loss_reported(self.client):
             return {key: worker for worker, keys in self.client.processing().items() for key in keys}
 
     @property
     def _excluded(self) -> dict[str, str]:
-        """The reasons for exclusion, by address of the worker."""
+        """The reason for the exclusion of each excluded worker, by its address."""
         blamed = {worker: jobs for worker, jobs in self._blamed.items() if len(jobs) >= MAX_BLAMED}
         reasons = {
             worker: f"{len(jobs)} tiles failed on this worker and succeeded elsewhere, the first is {index}: {reason}"
@@ -221,7 +229,7 @@ class Dispatcher(Generic[J, R]):
         return WorkerStatus(sum(self._threads.values()), self._excluded, self._describe_trouble())
 
     def _describe_trouble(self) -> str:
-        """Return the reason why no job has ended for a while; empty if nothing is known to be wrong."""
+        """Return the reason why no job has ended for a while, as text; empty if nothing is known to be wrong."""
         silent = time.monotonic() - self._ended_at
         if silent < self._timing.stall_after or not self._flying:
             return ""
@@ -237,7 +245,7 @@ class Dispatcher(Generic[J, R]):
         return f"{begin}{_some_of([f'{worker} has tile {index}' for worker, index in tiles])}" if tiles else ""
 
     def _fill(self) -> bool:
-        """Submit jobs until the window is full; return False if no worker is fit, and one may come.
+        """Submit jobs until enough are in flight; return False if all workers are excluded, but another may still come.
 
         Raise RunError if no worker is left and no replacement has come.
         """
@@ -261,13 +269,18 @@ class Dispatcher(Generic[J, R]):
         return True
 
     def _fit_workers(self) -> list[str]:
-        """Return the workers that get jobs: all that are not excluded; if all are, the workers that do not refuse."""
+        """Return the workers that get jobs: all that are not excluded.
+
+        If all are excluded, return the workers that neither refused nor failed to reach the store.
+        """
         excluded, refusing = self._excluded, self._refused | self._unreachable
         fit = [worker for worker in self._threads if worker not in excluded]
         return fit or [worker for worker in self._threads if worker not in refusing]
 
     def _window(self, threads: int) -> int:
-        """Return the number of jobs to keep in flight, by the durations of the last ones."""
+        """Return the number of jobs to keep in flight on ``threads`` threads, by the durations of the most recent
+        jobs.
+        """
         if not self._queue:
             return threads + 1
         short = math.ceil(QUEUED_SECONDS * len(self._seconds) / (sum(self._seconds) or math.inf))
@@ -285,7 +298,7 @@ class Dispatcher(Generic[J, R]):
         return self._retries.popleft() if self._retries else None
 
     def _submit(self, open_job: OpenJob[J]) -> None:
-        """Submit an attempt at a job."""
+        """Submit one attempt at a job to Dask."""
         workers = self._allowed_workers(open_job)
         key = (f"tile-{self._token}", next(self._numbers), *open_job.job.index)  # Dask remembers a failed attempt's
         with loss_reported(self.client):
@@ -297,7 +310,11 @@ class Dispatcher(Generic[J, R]):
         self._completed.add(future)
 
     def _allowed_workers(self, open_job: OpenJob[J]) -> tuple[str, ...] | None:
-        """Return the workers for a job, after a failure others that have done jobs, if there are any; None for all."""
+        """Return the workers to which an attempt at a job is restricted; None for no restriction.
+
+        After a failure they are workers on which the job has not failed, preferably workers that have finished other
+        jobs.
+        """
         if not (open_job.failures or self._excluded):
             return None
         fit, failed = self._fit_workers(), {failure.worker for failure in open_job.failures}
@@ -306,7 +323,10 @@ class Dispatcher(Generic[J, R]):
         return None if len(some) == len(self._threads) else tuple(random.sample(some, min(len(some), MAX_ALLOWED)))
 
     def _handle(self, future: "Future[AttemptOutcome[R]]", outcome: AttemptOutcome[R]) -> R | TileFailure | None:
-        """Return the report or the failure of a job; None if the job is still open, or has ended before."""
+        """Process the outcome of an attempt, and return the report or the failure of its job.
+
+        Return None if the job is to be tried again, if another attempt at it is in flight, or if it has ended before.
+        """
         attempt = self._attempts.pop(future, None)
         if attempt is None:
             return None  # cancelled
@@ -338,8 +358,9 @@ class Dispatcher(Generic[J, R]):
     def _fetch_results(self) -> "Iterator[tuple[Future[AttemptOutcome[R]], AttemptOutcome[R]]]":
         """Yield the attempts that have ended, with their outcomes, by one request to the scheduler.
 
-        If a result was lost with its worker, Dask repeats the job, and the attempt ends again. Dask would wait for it,
-        and for a worker that hangs; so an outcome that does not come soon is asked for again.
+        If a result was lost with its worker, Dask repeats the job, and the attempt ends again. Dask would wait for such
+        a result, and for a worker that hangs. An outcome that does not arrive within ``timing.connect`` seconds is
+        therefore requested again later.
         """
         ended = [*self._unfetched, *self._completed.next_batch(block=False)]
         by_number = {n: future for n, future in enumerate(ended) if future.status == "finished"}
@@ -369,7 +390,9 @@ class Dispatcher(Generic[J, R]):
         queue.append(open_job)
 
     def _record_success(self, open_job: OpenJob[J], outcome: AttemptOutcome[R]) -> None:
-        """Record a worker's success. The workers on which the same job failed are blamed for it."""
+        """Record that a worker did a job. Workers on which the same job had failed are blamed: enough blame excludes a
+        worker.
+        """
         self._seconds.append(outcome.seconds)
         self._proven.add(outcome.worker)
         self._unreachable.clear()  # the store responds to this worker, so perhaps to the others too
@@ -379,7 +402,9 @@ class Dispatcher(Generic[J, R]):
         self._blamed.pop(outcome.worker, None)
 
     def _record_failure(self, open_job: OpenJob[J], outcome: AttemptOutcome[R]) -> None:
-        """Record an attempt that did not succeed; raise RunError if there is no point in going on."""
+        """Record an attempt that did not succeed. Raise RunError if the run cannot succeed: the store is full, or all
+        jobs fail.
+        """
         index, where = open_job.job.index, outcome.worker or "an unknown worker"
         LOG.debug("tile %s failed on %s: %s\n%s", index, where, outcome.reason, outcome.traceback)
         if outcome.ending is Ending.FULL:

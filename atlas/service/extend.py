@@ -1,4 +1,4 @@
-"""Extending an atlas: a new store with more cells, which takes over the cells of an old store."""
+"""Extend an atlas: compute a larger or finer atlas into a new store, which takes over the cells of an old store."""
 
 import math
 from collections.abc import Mapping
@@ -79,14 +79,21 @@ def extend(
 
 
 def handle_from(store: Given, storage_options: Mapping[str, Any] | None) -> AtlasStore:
-    """Return the handle of a store whose cells are reused. At a URL the options of the new store apply to it, too."""
+    """Return the handle of the old store, whose cells are reused.
+
+    If it is at a URL, the access options ``storage_options`` of the new store apply to it, too.
+    """
     return open_store(store, storage_options if is_url(store) else None)
 
 
 def origin_for(backend: StoreBackend, old: AtlasStore, request: RetryRequest | None = None) -> Origin:
-    """Return an old store as the origin of the cells that the store of ``backend`` reuses.
+    """Check that a new store can take over cells of an old store, and return the old store as its origin.
 
-    Raise InputError if it cannot reuse any.
+    backend  backend of the new store
+    old      handle of the old store
+    request  cells that are to be solved again, for a retry; None for an extension
+
+    Raise InputError if the new store cannot take over cells, for example because the solver versions differ.
     """
     if backend == old.backend:
         raise InputError(f"{backend}: found the store to take cells from, must be another path")

@@ -1,10 +1,10 @@
-"""Labelling the attractors of a finished atlas, in this process, into its store."""
+"""Label the attractors of a finished atlas, in this process, and write the labels into its store."""
 
 import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from atlas.formatting import duration, plural, text_repr
+from atlas.formatting import Summary, duration, plural
 from atlas.orbits.labels.table import LabelCounts, labels_of, stored_count, write_labels
 from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.progress import Progress, prepare_kernels
@@ -17,8 +17,8 @@ from atlas.task.compile import ORBITS, kernels_for
 from workers.results import LABEL
 
 
-@dataclass(frozen=True)
-class LabelSummary:
+@dataclass(frozen=True, repr=False)
+class LabelSummary(Summary):
     """The counts of a store's labels, and the seconds spent on labelling; 0 if the store had labels already."""
 
     store: str
@@ -29,9 +29,9 @@ class LabelSummary:
         """Return the dict that ``atlas attractors label --json`` prints."""
         return {"store": self.store, **asdict(self.count), "seconds": self.seconds}
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The counts, as sentences."""
         count = self.count
         rest = count.attractors - count.followed
         lines = [f"{self.store}: {plural(count.branches, 'label')}, {count.alone} of them of one cell alone"]
@@ -43,7 +43,7 @@ class LabelSummary:
             lines.append(f"{plural(count.cut, 'link')} cut, which would put two attractors of a cell on one branch")
         if self.seconds:
             lines.append(f"{plural(count.links, 'link')} between cells in {duration(self.seconds)}")
-        return "\n".join(lines)
+        return [(line,) for line in lines]
 
 
 @with_fields

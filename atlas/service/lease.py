@@ -28,17 +28,17 @@ from atlas.store.object_backend import StoreBackend, with_patience
 from atlas.store.sidecar import LEASE_NAME, clear_sidecar, lease_confirmation, read_lease_token
 
 _RELEASES = 3
-"""Number of attempts to remove the lease at the end of a run; if they fail, it expires."""
+"""Number of attempts to remove the lease at the end of a run; if all fail, the lease expires."""
 STOP = "stop"
-"""Name of the object with the token of a run that is asked to stop."""
+"""Name of the object in a store's sidecar by which a run is asked to stop; it holds the token of the run's lease."""
 
 
 @dataclass(frozen=True)
 class LeaseRecord:
-    """The contents of a lease.
+    """The contents of a lease, the object that gives one run the right to write a store.
 
     token      unique identifier of the lease
-    beat       number of heartbeats so far
+    beat       number of renewals so far
     host       name of the holder's host
     pid        process id of the holder
     process    unique name of the holder's process; empty on systems without such names
@@ -65,19 +65,21 @@ class LeaseRecord:
             raise ValueError(f"no process: {self.pid}, {self.process!r}")
 
     def pack(self) -> bytes:
-        """Return the record as the bytes of a lease."""
+        """Return the record as bytes, the content of a lease."""
         return json.dumps(asdict(self)).encode()
 
     @classmethod
     def unpack(cls, data: bytes) -> "LeaseRecord | None":
-        """Return the record of a lease; None if it is damaged, for example by a crash of the system."""
+        """Return the record from the bytes of a lease; None if they are damaged, for example by a crash of the
+        system.
+        """
         try:
             return cls(**json.loads(data))
         except (ValueError, TypeError, RecursionError):
             return None
 
     def number(self, name: str) -> float:
-        """Return a number of the holder's progress report; 0 if it is missing."""
+        """Return a number from the holder's report of its progress, by name; 0 if it is missing."""
         value = self.progress.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return 0
@@ -125,7 +127,7 @@ class Lease:
         return self._record.token
 
     def set_progress(self, progress: Mapping[str, Any]) -> None:
-        """Set the progress that the next heartbeats write.
+        """Set the report of progress that the next renewals of the lease write with it.
 
         The first report is written at once, before the first tile.
         """
@@ -155,9 +157,10 @@ class Lease:
             raise RunError("stopped by atlas cancel; finished tiles are kept, rerun the same command to resume")
 
     def bind(self, backend: StoreBackend) -> StoreBackend:
-        """Return the backend whose commits confirm this lease: it is checked, and its token is read.
+        """Return a backend that writes a finished tile only if this run still has the lease.
 
-        The read is needed because a process that was suspended does not know yet that its lease was taken over.
+        Before such a write, a commit, the lease is checked and its token is read. The read is needed because a process
+        that was suspended does not know yet that its lease was taken over.
         """
         lost = "lease lost: another run has taken over the store; finished tiles are kept"
         look = lease_confirmation(backend, self.token, RunError, lost)
@@ -169,7 +172,7 @@ class Lease:
         return backend.with_lease(confirm)
 
     def release(self) -> None:
-        """Stop the heartbeats, and remove the lease if it is still that of this run."""
+        """Stop the renewals, and remove the lease if it still belongs to this run."""
         self._released.set()
         self._thread.join()
         once = with_patience(self._sidecar, 0.0)
@@ -198,7 +201,7 @@ class Lease:
             self._record, self._advanced, self._failure = advanced, begin, None
 
     def _confirm(self) -> None:
-        """Raise RunError unless the lease is that of this run."""
+        """Raise RunError unless the lease still belongs to this run."""
         data = self._sidecar.get(LEASE_NAME)
         record = LeaseRecord.unpack(data) if data is not None else None
         if data is None:
@@ -244,7 +247,7 @@ def hold_lease(
 
 @dataclass(frozen=True)
 class LeaseObservation:
-    """A lease as it was last observed.
+    """The state of a lease when it was last observed, and for how long it has not been renewed.
 
     record   contents of the lease; None if it is damaged
     alive    True if the holder's process runs; None if this host cannot know
@@ -273,11 +276,11 @@ class LeaseObservation:
 
 
 class LeaseObserver:
-    """An observer of a store's lease from outside. It measures how long the heartbeat counter stands still.
+    """Observes a store's lease without holding it, and measures how long its counter of renewals stands still.
 
     Whether a process of this host is alive is known at once. For a holder on another host a single observation says
     nothing, since clocks of hosts differ. ``observe_until_settled`` therefore observes until the counter moves, for at
-    most ``timing.warn_after`` seconds. ``mark`` changes with every heartbeat.
+    most ``timing.warn_after`` seconds. ``mark`` changes with every renewal.
     """
 
     def __init__(
@@ -288,7 +291,7 @@ class LeaseObserver:
         self._since = 0.0
 
     def observe(self) -> LeaseObservation | None:
-        """Return the present lease; None if there is none."""
+        """Return the present state of the lease; None if there is no lease."""
         begin = time.monotonic()
         data = self._sidecar.get(LEASE_NAME)
         now = time.monotonic()
@@ -300,7 +303,9 @@ class LeaseObserver:
         return LeaseObservation(record, record.is_alive if record else None, now - self._since, self._timing)
 
     def observe_until_settled(self) -> LeaseObservation | None:
-        """Return the lease once its counter is known to move or to stand still; None once the lease is gone."""
+        """Observe the lease until it is known to be renewed, or known not to be, and return its state; None if it is
+        gone.
+        """
         seen, first = self.observe(), self.mark
         while seen and seen.record and seen.alive is None and not seen.trouble and self.mark == first:
             self._sleep(self._timing.lease_poll)
@@ -343,10 +348,10 @@ def cancel(
 
 
 def _is_abandoned(sidecar: StoreBackend, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:
-    """Return True once a lease has expired.
+    """Wait until a lease is known to be renewed or to have expired, and return True if it has expired.
 
-    Its counter has then stood still for ``timing.expire_after`` seconds, or its holder is gone. Raise InputError as
-    soon as the counter moves.
+    A lease has expired if its counter stands still for ``timing.expire_after`` seconds, or its holder is gone. ``data``
+    are its bytes when it was found. Raise InputError as soon as the counter moves.
     """
     record = LeaseRecord.unpack(data)
     if record and record.is_alive is False:

@@ -1,4 +1,7 @@
-"""Measuring the attractors of a finished atlas on the workers: parts that the store keeps, then the measures."""
+"""Measure the stability of the attractors of a finished atlas on the workers.
+
+The workers' results are kept in the store as parts, so that an interrupted measurement resumes.
+"""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -9,7 +12,7 @@ import numpy as np
 
 from atlas.argument_checks import validate_flag
 from atlas.errors import InputError, RunError
-from atlas.formatting import duration, plural, text_repr
+from atlas.formatting import Summary, duration, plural
 from atlas.robustness.job import (
     NEEDED,
     MeasureJob,
@@ -49,13 +52,13 @@ if TYPE_CHECKING:
 Request = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class MeasureSummary(PartCost):
-    """Statistics of a store's measures, and the cost of computing them.
+@dataclass(frozen=True, repr=False)
+class MeasureSummary(PartCost, Summary):
+    """Statistics of a store's stability measures, and the cost of computing them.
 
     store     path or URL of the store
     measures  statistics by measure
-    requests  stored requests by family of measures
+    requests  what each stored family of measures was computed for: ``norm``, and ``content``, a digest of the cells
     """
 
     store: str
@@ -70,16 +73,16 @@ class MeasureSummary(PartCost):
         }
         return {"store": self.store, "measures": dict(self.measures), **requests, **times}
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The statistics and the cost, as sentences."""
         lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]
         for name, numbers in self.measures.items():
             ends = f", {numbers['least']:.4g} to {numbers['largest']:.4g}, median {numbers['median']:.4g}"
             lines.append(f"{name}: {plural(int(numbers['known']), 'attractor')}{ends if 'median' in numbers else ''}")
         if self.seconds:
             lines.append(f"in {duration(self.seconds)}, {duration(self.processor_seconds)} of processor time")
-        return "\n".join(lines)
+        return [(line,) for line in lines]
 
 
 @with_fields
@@ -123,10 +126,10 @@ def measure_attractors(
 
 
 def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> dict[str, Request]:
-    """Return the request of each family of measures by name; a family is computed together, such as the shocks.
+    """Return what is to be measured: for each family of measures the norm and a digest of the cells.
 
-    The ``content`` of a request is a digest of the cells that its measures depend on. Stored measures with another
-    digest are out of date.
+    The measures of a family are computed together, such as all those of shocks. Stored measures with another digest,
+    the ``content`` of a request, are out of date.
     """
     if shocks and not handle.spec.coexistence:
         raise InputError(
@@ -140,7 +143,7 @@ def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> di
 
 
 def _still_true(stored: StoredMeasures, requests: Mapping[str, Request]) -> StoredMeasures:
-    """Return the stored measures of the present cells."""
+    """Return those of the stored measures that belong to the present cells of the atlas."""
     content = requests[LINEAR]["content"]
     current_requests = {
         family: request for family, request in stored.requests.items() if request.get("content") == content
@@ -152,7 +155,7 @@ def _still_true(stored: StoredMeasures, requests: Mapping[str, Request]) -> Stor
 
 
 def _content(handle: AtlasStore) -> str:
-    """Return a digest, as text, of the results of cells that the measures of attractors depend on."""
+    """Return a digest of the cells' results on which the stability measures depend, as text."""
     content = hashlib.sha256(handle.digest.encode())
     for index in sorted(tile.index for tile in handle.tiling.tiles()):
         for name, values in sorted(read_tile(handle, index, NEEDED).items()):
@@ -165,7 +168,7 @@ def _digest(requests: Mapping[str, Request]) -> str:
 
 
 def _measure(parts: PartRun[MeasureJob], families: Sequence[str], norm: tuple[tuple[str, float], ...]) -> Arrays:
-    """Return the measures of some families over all cells."""
+    """Compute the measures of some families on the workers, and return them as arrays over all cells, by name."""
     handle, ref = parts.handle, parts.pool.store_ref
     every = ((family, *piece) for family in families for piece in pieces(handle, family))
     jobs = [
@@ -178,7 +181,7 @@ def _measure(parts: PartRun[MeasureJob], families: Sequence[str], norm: tuple[tu
 
     def progress() -> Progress:
         solved = stored + parts.cells
-        return Progress(f"measuring: {solved} of {plural(cells, 'cell')}", cells=cells, cells_done=solved)
+        return Progress("measuring", cells=cells, cells_done=solved, detail=f"{solved} of {plural(cells, 'cell')}")
 
     parts.run(jobs, progress)
     many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()

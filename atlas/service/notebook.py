@@ -1,4 +1,4 @@
-"""A run's progress in a notebook: one bar under the cell, updated in place."""
+"""The display of a run's progress in a notebook: one bar under the cell, updated in place."""
 
 import sys
 import time
@@ -18,7 +18,7 @@ INTERVAL = 0.25
 
 @contextmanager
 def progress_reporter(on_progress: Callable[[Progress], None] | None) -> Iterator[Callable[[Progress], None] | None]:
-    """Yield the function to call with each Progress: the given one, or that of a bar in a notebook; None elsewhere."""
+    """Yield the function to call with each Progress: the given one, or in a notebook that of a bar; None elsewhere."""
     if on_progress is not None:
         validate_type("on_progress", on_progress, Callable, "a function of a Progress")
     display = None if on_progress is not None else _notebook_display()
@@ -30,9 +30,10 @@ def progress_reporter(on_progress: Callable[[Progress], None] | None) -> Iterato
 
 
 class NotebookReporter(AbstractContextManager["NotebookReporter"]):
-    """A progress bar that ``display``, IPython's function, shows once and then updates; its last state remains.
+    """A progress bar in a notebook, which ``display``, IPython's function, shows once and then updates.
 
-    The bar needs only IPython's own displays: Rich's bar needs ipywidgets, which may not be installed.
+    Its last state remains. The bar needs only IPython's own displays: Rich's bar needs ipywidgets, which may not be
+    installed.
     """
 
     def __init__(self, display: Callable[..., Any], interval: float = INTERVAL) -> None:
@@ -44,17 +45,17 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
         self._notes: tuple[str, ...] = ()
 
     def __call__(self, progress: Progress) -> None:
-        """Show the snapshot; at once if its stage is new or it has a note."""
+        """Show a Progress, unless the bar was updated a moment ago; at once if its stage is new or it has a note."""
         new = self._last is None or self._last.stage != progress.stage or bool(progress.note)
         self._notes += (progress.note,) if progress.note else ()
         self._last = progress
-        if (new and not progress.transient) or time.monotonic() >= self._due:
+        if new or time.monotonic() >= self._due:
             self._show()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Show the last snapshot."""
+        """Show the last Progress."""
         if self._last is not self._shown:
             self._show()
 
@@ -69,7 +70,7 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
 
 @dataclass(frozen=True)
 class NotebookProgressBar:
-    """A snapshot, and the notes up to it, as a notebook shows them."""
+    """A Progress, and the notes so far, as HTML or text for a notebook."""
 
     progress: Progress
     notes: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""The options of a run beyond its spec and its store: workers, reports, waiting times."""
+"""The options of a run that do not affect its results: workers, reports, waiting times."""
 
 import inspect
 import math
@@ -18,7 +18,7 @@ from atlas.store.outage import LONG_PATIENCE
 
 F = TypeVar("F", bound=Callable[..., Any])
 MAX_WORKERS = 1024
-"""Maximum number of processes of a local cluster: more than a host has processors, and few enough to start."""
+"""Maximum number of processes of a local cluster. It exceeds the processors of any host, and can still be started."""
 
 
 @dataclass(frozen=True)
@@ -100,19 +100,18 @@ class RunOptions:
         validate_type("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
     def report(self, progress: Progress) -> None:
-        """Call ``on_progress``, if given, with a snapshot."""
+        """Call ``on_progress``, if there is such a function, with a Progress."""
         if self.on_progress is not None:
             self.on_progress(progress)
 
     def wait_for_first(self, seconds: float) -> None:
-        """Report that a cluster has had no worker for ``seconds``."""
+        """Report that no worker has joined the cluster yet, after ``seconds`` of waiting."""
         self.report(Progress("waiting for the cluster's first worker", seconds=seconds))
 
 
 def with_fields(function: F) -> F:
-    """Return the function with the fields of ``RunOptions`` in its signature, in place of its ``**fields``.
-
-    ``help`` shows the signature.
+    """Return the function with a signature for ``help`` that lists the fields of ``RunOptions`` in place of
+    ``**fields``.
     """
     signature = inspect.signature(function)
     named_parameters = [

@@ -1,4 +1,4 @@
-"""Packing a store into one zip file, which every reading command and plain xarray can open."""
+"""Pack a store into one zip file, which every reading command and plain xarray can open."""
 
 import glob
 import os
@@ -6,13 +6,13 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from atlas.argument_checks import validate_flag, validate_path
 from atlas.errors import ChunkError, InputError
-from atlas.formatting import byte_size, plural, text_repr
+from atlas.formatting import Summary, byte_size, plural
 from atlas.platform import file_lock, move_whole, temporary_beside
 from atlas.service.lease import LeaseObserver
 from atlas.service.notebook import progress_reporter
@@ -26,15 +26,15 @@ from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
 from atlas.store.zarr_backend import SUFFIX
 
 _SINCE = (1980, 1, 1, 0, 0, 0)
-"""Date of every member, so that equal atlases give equal files."""
+"""Modification date of every member of the zip file; it is constant, so that equal atlases give equal files."""
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 SHOWN = 3
 """Maximum number of missing chunks that a message names."""
 
 
-@dataclass(frozen=True)
-class PackSummary:
-    """The result of packing a store.
+@dataclass(frozen=True, repr=False)
+class PackSummary(Summary):
+    """The result of packing a store into a zip file.
 
     file               path of the zip file
     objects, bytes     number of its objects, and its size
@@ -52,18 +52,19 @@ class PackSummary:
         """True if every tile is finished."""
         return self.tiles_done == self.tiles
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The result, as sentences."""
         packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"
         if self.is_complete:
-            return packed
+            return [(packed,)]
         tiles_text = f"only {self.tiles_done} of {self.tiles} tiles are done"
-        return f"{packed}\n{tiles_text}: the rest reads as pending, and a zip file cannot be completed; keep the store"
+        rest = f"{tiles_text}: the rest reads as pending, and a zip file cannot be completed; keep the store"
+        return [(packed,), (rest,)]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas pack --json`` prints."""
-        return asdict(self) | {"complete": self.is_complete}
+        return super().as_dict() | {"complete": self.is_complete}
 
 
 def pack(
@@ -108,10 +109,9 @@ def pack(
 
 
 def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
-    """Pack the objects of these keys, and return the number of bytes of the file."""
+    """Write the objects of a store with these keys into a zip file, and return the number of bytes of the file."""
 
     def members() -> Iterator[tuple[str, bytes]]:
-        notify(Progress(f"packing {plural(len(keys), 'object')}"))
         for k, key in enumerate(keys, 1):
             data = handle.backend.get(key)
             if data is None:
@@ -119,7 +119,7 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
                     f"{handle.backend}: {key} was removed meanwhile by a run; pack the store when the run has ended"
                 )
             yield key, data
-            notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", transient=True))
+            notify(Progress("packing", detail=f"{k} of {plural(len(keys), 'object')}"))
         _refuse_running(handle, timing)  # a run may have begun meanwhile
 
     try:
@@ -129,7 +129,7 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
 
 
 def _refuse_links(store: Path) -> None:
-    """Raise InputError if something in a store is neither a folder nor a file of its own."""
+    """Raise InputError if the folder of a store contains a link or a special file."""
     for folder, folders, files in os.walk(store):
         for name in (*folders, *files):
             path = Path(folder) / name
@@ -139,7 +139,12 @@ def _refuse_links(store: Path) -> None:
 
 
 def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
-    """Raise ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read."""
+    """Raise ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read.
+
+    handle  the store
+    tiles   indices of its finished tiles
+    keys    keys of all its objects
+    """
     needed = [v for v in handle.variables if not v.sparse]
     lost = [key for index in sorted(tiles) for variable in needed if (key := chunk_key(variable, index)) not in keys]
     if lost:
@@ -156,9 +161,9 @@ def _refuse_running(handle: AtlasStore, timing: Timing) -> None:
 
 @contextmanager
 def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
-    """Hold the lock of an unfinished file; the lock is deleted at the end.
+    """Hold the lock of an unfinished zip file within the block; the lock file is deleted at the end.
 
-    Raise OSError if another process holds it.
+    ``timeout`` is the time in seconds to wait for the lock, -1 for no limit. Raise OSError if another process holds it.
     """
     path = unfinished.with_suffix(".lock")
     path.touch()  # the lock would create a missing folder
@@ -173,7 +178,7 @@ def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
 
 
 def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
-    """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
+    """Write (name, bytes) members into a zip file, and return its size in bytes. The file appears whole, or not at all.
 
     Nothing is compressed: chunks already are, and metadata are small. Unlocked files left by killed writers are
     removed.

@@ -1,4 +1,6 @@
-"""A computation in parts on the workers: the store keeps finished parts, so that the same call resumes it."""
+"""A computation on the workers whose intermediate results, the parts, are kept in the store, so that it can be
+resumed.
+"""
 
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -9,7 +11,7 @@ from typing import Generic, Protocol, TypeVar
 from atlas.errors import RunError
 from atlas.service.attempts import IndexedJob
 from atlas.service.dispatch import WorkerStatus
-from atlas.service.progress import LOG_INTERVAL, Progress
+from atlas.service.progress import Progress
 from atlas.service.store_call import StoreCall
 from atlas.service.summary import TileFailure
 from atlas.service.worker_pool import WorkerPool
@@ -20,11 +22,11 @@ from atlas.task.store_ref import PartReport
 
 
 class PartJob(IndexedJob, Protocol):
-    """A job that writes one part of a computation."""
+    """A job that computes one part, an intermediate result, and writes it into the store."""
 
     @property
     def part(self) -> str:
-        """The group and the name of the part."""
+        """Path of the part in the store: its group and its name."""
 
 
 P = TypeVar("P", bound=PartJob)
@@ -32,7 +34,7 @@ P = TypeVar("P", bound=PartJob)
 
 @dataclass(frozen=True, kw_only=True)
 class PartCost:
-    """The cost of a computation in parts; 0 if the store had its result already.
+    """The cost of a computation on the workers; 0 if the store had its result already.
 
     seconds            duration
     processor_seconds  processor time of the workers
@@ -47,15 +49,17 @@ class PartCost:
 
 
 class PartRun(Generic[P]):
-    """A computation in parts, on the workers of a call and in its store, which is leased.
+    """A computation on the workers of a call, whose intermediate results are parts of the call's store, which is
+    leased.
 
     call     the call
-    handle   handle of the store; that of the run has commits that confirm the lease
+    handle   handle of the store
     act      function that does a job on a worker
     kernels  kernels that the jobs need
     digests  digest of the computation by group of its parts; stored parts of another computation are removed
 
-    ``cells`` is the number of cells of the jobs done.
+    The attribute ``handle`` is the handle whose backend confirms the lease. ``cells`` is the number of cells of the
+    jobs done.
     """
 
     def __init__(
@@ -72,19 +76,18 @@ class PartRun(Generic[P]):
         self.pool, self.digests = WorkerPool(call, handle, act, kernels), digests
         self.handle, self.workers = self.pool.handle, call.threads
         self.tasks = self.cells = 0
-        self.processor_seconds = self._reported = 0.0
-        self._stage = ""
+        self.processor_seconds = 0.0
 
     @cached_property
     def stored(self) -> set[str]:
-        """The parts, as group and name, that earlier calls have stored."""
+        """The parts, as "group/name", that earlier calls of the same computation have stored."""
         groups = self.digests.items()
         return {f"{group}/{name}" for group, digest in groups for name in finished_parts(self.handle, group, digest)}
 
     def run(self, jobs: Iterable[P], get_progress: Callable[[], Progress]) -> None:
-        """Run the jobs whose parts are not stored. ``get_progress`` returns the snapshot to show.
+        """Run the jobs whose parts are not stored yet, and report progress.
 
-        Raise RunError if a job fails for good.
+        ``get_progress`` returns the present progress. Raise RunError if a job fails for good.
         """
 
         def tick(status: WorkerStatus) -> None:
@@ -104,7 +107,7 @@ class PartRun(Generic[P]):
             self._report(get_progress())
 
     def end(self) -> PartCost:
-        """Remove the parts, once the result is written, and return the cost of the computation."""
+        """Remove the parts from the store, once the final result is written, and return the cost of the computation."""
         for group in self.digests:
             drop_parts(self.handle, group)
         seconds = time.monotonic() - self.pool.begin
@@ -113,10 +116,6 @@ class PartRun(Generic[P]):
         )
 
     def _report(self, progress: Progress, trouble: str = "") -> None:
-        """Report the progress of the jobs; for a log once every LOG_INTERVAL seconds."""
-        now = time.monotonic()
-        stage = trouble or progress.stage
-        passing = now - self._reported < LOG_INTERVAL or stage == self._stage
-        if not passing:
-            self._reported, self._stage = now, stage
-        self.pool.call.options.report(replace(progress, stage=stage, transient=passing))
+        """Report the progress of the jobs, or ``trouble``, the reason why none makes progress."""
+        seconds = time.monotonic() - self.pool.begin
+        self.pool.call.options.report(replace(progress, stage=trouble or progress.stage, seconds=seconds))

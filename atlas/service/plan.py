@@ -2,7 +2,7 @@
 
 import math
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import InputError, brief_repr
-from atlas.formatting import byte_size, count_of, duration, html_table, plural, text_repr
+from atlas.formatting import Summary, byte_size, count_of, duration, plural
 from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import OverviewLevels
 from atlas.platform import processors
@@ -24,29 +24,32 @@ from atlas.store.tiling import Index, Tiling
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
-"""Number of cells along a side of a tile, by default and in a large atlas.
+"""Number of cells along a side of a tile: by default, and in a large atlas.
 
-Object stores work best with large objects.
+Tiles of a large atlas are larger, since object stores work best with large objects.
 """
 MANY_TILES, MOST_TILES = 1024, 50_000
-"""Number of tiles above which tiles are larger than the default, and larger than LARGE_TILE."""
+"""Numbers of tiles above which tiles are made larger: than DEFAULT_TILE, and even than LARGE_TILE."""
 TILES_PER_WORKER = 16
 """Minimum number of tiles per worker.
 
 Costs of tiles differ a hundredfold; with fewer tiles, one worker is busy with the last tile while others wait.
 """
 CLEAR_RANGE = 1.5
-"""Ratio of the upper to the lower expected time above which a range is printed."""
+"""Minimum ratio of the upper to the lower expected time at which both are printed, as a range."""
 FILE_BLOCK = 4096
 """Bytes that a small file or folder takes on a disk."""
 NAME_BYTES = 64
-"""Bytes of a name in a large folder."""
+"""Bytes that the name of a file takes in a large folder."""
 COPIED_BYTES = 3 * FILE_BLOCK
-"""Maximum bytes of the copies of an array's metadata: in the root, in its backup, and in an overview's level."""
+"""Maximum size, in bytes, of the copies of one array's metadata that a store has.
+
+They are in the root's metadata, in their backup, and in those of an overview's level.
+"""
 OTHER_BYTES = 32 * FILE_BLOCK
-"""Bytes of the groups, of the root's own attributes and of the records of hosts."""
+"""Maximum size, in bytes, of everything else in a store: groups, the root's own attributes, and records of hosts."""
 MANY_OBJECTS = 10_000_000
-"""Number of objects in a bucket above which some providers refuse more, or advise against more."""
+"""Number of objects in a bucket beyond which some providers refuse further objects, or advise against them."""
 NO_BASINS = (
     "all axes are initial states, and each cell is solved by itself; for basins of attraction "
     "add a table [attractors] and choose another store"
@@ -56,7 +59,7 @@ NO_BASINS = (
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """The cost of an atlas, measured on some of its cells.
+    """The expected cost of an atlas, measured by solving some of its cells.
 
     cells             number of cells solved
     periods_per_cell  average number of forcing periods of a cell of the atlas
@@ -71,17 +74,19 @@ class ProbeResult:
     high: float
 
 
-@dataclass(frozen=True)
-class Plan:
-    """Cells, tiles, bytes and time of an atlas. ``str(plan)`` is the text for a terminal.
+@dataclass(frozen=True, repr=False)
+class Plan(Summary):
+    """The plan of an atlas: its numbers of cells and tiles, its bytes, and its expected time.
 
     spec     spec of the atlas
     tiling   tiles of the atlas
     workers  number of workers that share the jobs
     probe    measured cost of a cell, or None
+
+    ``str(plan)`` is the text for a terminal.
     """
 
-    spec: Spec = field(repr=False)
+    spec: Spec
     tiling: Tiling
     workers: int
     probe: ProbeResult | None = None
@@ -127,7 +132,7 @@ class Plan:
 
     @property
     def note(self) -> str:
-        """Hints at other specs that the user may have meant; empty for most specs."""
+        """Hints, as text, at other specs that the user may have meant; empty for most specs."""
         notes = [NO_BASINS] if self.spec.has_state_axes and self.spec.attractors is None else []
         if self.objects > MANY_OBJECTS:
             notes.append(
@@ -138,7 +143,7 @@ class Plan:
 
     @property
     def seconds(self) -> float | None:
-        """Expected seconds of the whole atlas on these workers, with a processor each; None if nothing was probed."""
+        """Expected seconds that the whole atlas takes, if each worker has a processor; None if nothing was probed."""
         return self._seconds(self.probe.seconds_per_cell) if self.probe else None
 
     @property
@@ -171,11 +176,9 @@ class Plan:
             "note": self.note,
         }
 
-    __repr__ = text_repr
-
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """The facts of the plan, by name."""
+        """The facts of the plan as pairs of a name and a text."""
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))
         objects = f"{count_of(self.objects)} files or objects, {self.objects_per_tile} a tile"
         cost = f"at most {byte_size(self.bytes)} in about {objects}"
@@ -188,12 +191,6 @@ class Plan:
         cells = f"{self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in {tiles}"
         facts = [("axes", " x ".join(self.spec.axis_descriptions)), ("cells", cells), ("cost", cost)]
         return [*facts, ("note", self.note)] if self.note else facts
-
-    def __str__(self) -> str:
-        return "\n".join(f"{name:<7}{text}" for name, text in self.rows)
-
-    def _repr_html_(self) -> str:
-        return html_table(self.rows)
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
@@ -218,7 +215,13 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
 
 
 def plan_of_run(spec: Spec, backend: StoreBackend, handle: AtlasStore | None, workers: int, tile: Index | None) -> Plan:
-    """Return the plan of a run that creates the store of ``backend``, or completes the store of ``handle``.
+    """Return the plan of a run that creates the store of ``backend``, or completes it if there is one.
+
+    spec     spec of the atlas
+    backend  backend of the store
+    handle   handle of the existing store, None if there is none
+    workers  number of workers
+    tile     index of a tile to be solved alone, None to solve all
 
     Raise InputError if a new store cannot be created, if its disk is too small, or if ``tile`` is not the index of a
     tile.
@@ -247,11 +250,11 @@ def check_free_space(plan: Plan, target: Path, tiles: int | None = None) -> None
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
-    """Return the default shape of tiles, which has a side of 64 cells along each dimension.
+    """Return the default shape of tiles, in cells: a side of 64 along each dimension, with the following exceptions.
 
-    The longer side is halved until there are 16 tiles per worker; a tile contains whole continued lines. The side is
-    128 or 256 if there are many tiles nevertheless, doubled again until there are at most MOST_TILES. No tile has cells
-    of two planes of a stack.
+    The longer side is halved until there are 16 tiles per worker. If there are many tiles nevertheless, the side is 128
+    or 256, doubled again until there are at most MOST_TILES. In a continued sweep, in which each cell starts from the
+    cell before it, a tile contains whole lines. No tile has cells of two planes of a stack.
     """
     shape = spec.shape
     fixed = {0: 1} if len(shape) == MAX_AXES else {}
@@ -291,7 +294,7 @@ def _array_bytes(grid: Index, chunk: int, inner: int = 0) -> int:
 
 
 def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
-    """Return the bytes of a chunk of each variable."""
+    """Return the size, in bytes, of a tile's chunk of each variable, by name."""
     sizes = spec.extra_sizes
     return {
         variable.name: np.dtype(variable.dtype).itemsize

@@ -1,4 +1,4 @@
-"""The probe: the expected cost of a spec, measured on cells that are spread over the plane."""
+"""The probe: the expected cost of a spec, measured by solving cells that are spread over the plane."""
 
 import math
 import time
@@ -18,32 +18,35 @@ from workers import Settings
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
 STEPS = (4, 16, 64, 256)
-"""Number of cells solved in all after each step.
+"""Total number of cells solved by the end of each step of the probe.
 
-A step begins only if it should keep the processor seconds of the whole within the budget.
+A step begins only if all steps together should stay within the budget of processor seconds.
 """
 CELLS = STEPS[-1]
 BUDGET, LONG_BUDGET = 2.0, 10.0
-"""Budget of the probe, in processor seconds, and its budget for the first FEW cells.
+"""Budget of the probe in processor seconds, and the larger budget that applies to its first FEW cells.
 
-Fewer cells say next to nothing.
+A result from fewer than FEW cells would be worth little.
 """
 FEW = STEPS[1]
 MAX_PROBE_PERIODS, MAX_SURVIVAL = 20_000, 48_000
-"""Largest budget and largest survival of a probed cell, in forcing periods; by default a cell has no more."""
+"""Maximum number of forcing periods of a probed cell, and maximum number for which its chaos is watched.
+
+The settings of a spec are no larger by default.
+"""
 SEGMENT = 8
-"""Number of cells of a probed segment of a continued line.
+"""Number of cells of a probed segment of a line of continued cells, each of which starts from the cell before it.
 
 The first cell does not count, since it alone has no cell before it.
 """
 STANDARD_ERRORS = 2.0
-"""Number of standard errors by which the range extends beyond the measurement."""
+"""Number of standard errors by which the given range of costs extends beyond the measured cost."""
 
 Array = NDArray[np.float64]
 
 
 def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
-    """Return a reporter of a run's progress that adds the measured time to the first plan it gets.
+    """Return a function that reports progress by ``report``, and adds the probed time to the first plan that it gets.
 
     Nothing is probed for a complete atlas, or for an atlas so small that the probe would solve all of it.
     """
@@ -61,7 +64,9 @@ def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
 
 
 def add_probe(plan: Plan, report: Callable[[Progress], None]) -> Plan:
-    """Return the plan with the time that a probe of its spec measures."""
+    """Measure the cost of the plan's spec by a probe, and return the plan with it. ``report`` is called with the
+    progress.
+    """
     prepare_kernels(report, *kernels_of(plan.spec))
     report(Progress("probing a few cells"))
     return replace(plan, probe=probe(plan.spec, plan.tiling.tile))
@@ -110,9 +115,11 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
 
 
 def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
-    """Return the indices of distinct cells that fill the plane ever more evenly, and the length of a segment in cells.
+    """Return the indices of distinct cells that are spread evenly over the plane, and the number of cells of a segment.
 
-    A segment is a part of a line of continued cells that begins at one of these cells; it has one cell otherwise.
+    The more of the cells are used, in their order, the more evenly they fill the plane. In a continued sweep each cell
+    begins a segment, a part of a line in which each cell starts from the cell before it. Otherwise a segment has one
+    cell.
     """
     from scipy.stats import qmc
 
@@ -130,7 +137,10 @@ def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
 
 
 def brief(settings: Settings) -> Settings:
-    """Return the settings with at most MAX_PROBE_PERIODS periods and a survival of at most MAX_SURVIVAL."""
+    """Return settings for the probe, with at most MAX_PROBE_PERIODS periods.
+
+    The survival, the number of periods for which chaos is watched, is at most MAX_SURVIVAL.
+    """
     if settings.method == "adaptive":
         survival = min(MAX_SURVIVAL, settings.survival)
         return replace(settings, max_periods=min(MAX_PROBE_PERIODS, settings.max_periods), survival=survival)
@@ -140,9 +150,13 @@ def brief(settings: Settings) -> Settings:
 
 
 def _solve(spec: Spec, starts: list[tuple[int, ...]], length: int) -> tuple[Array, Array, Array]:
-    """Solve the cells, or the segments of lines, that begin at these starts, with brief settings.
+    """Solve the probed cells with the settings of the probe, see ``brief``.
 
-    Return arrays (starts, cells): the periods used, and the least and the most periods with the full settings.
+    spec    spec of the atlas
+    starts  first cells of the segments
+    length  number of cells of a segment of a line of continued cells; 1 otherwise
+
+    Return arrays (starts, cells): the periods used, and the least and the most periods expected with the full settings.
     """
     from workers.sweep import solve_lines
 
@@ -162,10 +176,10 @@ def _solve(spec: Spec, starts: list[tuple[int, ...]], length: int) -> tuple[Arra
 
 
 def full_periods(settings: Settings, few: Settings, arrays: dict[str, NDArray[Any]]) -> tuple[Array, Array]:
-    """Return the least and the most forcing periods that cells cost with their ``settings``, as two arrays.
+    """Return the least and the most forcing periods that cells would cost with the full ``settings``, as two arrays.
 
-    The ``arrays`` are results of the cells with the brief settings ``few``. The square of a chaotic cell's error falls
-    as one over its periods. Nothing is known of an undetermined cell, nor for how long chaos is watched.
+    ``arrays`` are the results of the cells with the settings ``few`` of the probe. The square of a chaotic cell's error
+    falls as one over its periods. Nothing is known of an undetermined cell, nor for how long chaos is watched.
     """
     used, regime = arrays["periods_used"].astype(np.float64), arrays[REGIME.name]
     if settings.method == "fixed":

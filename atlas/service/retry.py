@@ -1,4 +1,4 @@
-"""Solving some cells of an atlas again, into a new store that takes over all other cells of the old store."""
+"""Retry: solve some cells of an atlas again, into a new store that takes over all other cells of the old store."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _NEED = {UNDETERMINED: BUDGET, CHAOTIC: SURVIVAL, APERIODIC: SURVIVAL}
 DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.code in _NEED}
-"""The budget that must be raised for cells of a regime to come out different; cells of other regimes never do."""
+"""For each regime that a retry may change, the budget in periods to raise; cells of other regimes never change."""
 
 
 @with_fields
@@ -81,7 +81,10 @@ def retry(
 def validate_retry(
     old: AtlasStore, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
 ) -> RetryRequest:
-    """Return a user's retry of a store as a request; raise InputError if it could not change a cell."""
+    """Check a user's arguments of ``retry`` and return them as a request.
+
+    Raise InputError if they are invalid, or if the retry could not change a cell of the old store.
+    """
     for name in regimes:
         check_name("regimes", name)
     names = [name.strip() for name in regimes if name.strip()]
@@ -116,6 +119,6 @@ def _check_amount(old: AtlasStore, allowance: BudgetVariable, amount: int | None
 
 
 def _least(old: AtlasStore, allowance: BudgetVariable) -> int:
-    """Return the largest budget, in periods, that cells of a store were given."""
+    """Return the largest budget, in periods, that any cell of a store was given; a retry must exceed it."""
     retried = old.origin.retry if old.origin is not None else None
     return max(allowance.from_spec(old.spec), retried.least_budget(allowance) if retried is not None else 0)

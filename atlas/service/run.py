@@ -1,4 +1,6 @@
-"""Running an atlas: lease and create or resume its store, solve the unfinished tiles, and add up their reports."""
+"""Run an atlas: lease and create or resume its store, solve the unfinished tiles on workers, and add up their
+reports.
+"""
 
 import math
 from dataclasses import replace
@@ -75,9 +77,11 @@ def run(
 
 
 def complete(spec: Spec, call: StoreCall, origin: Origin | None = None) -> RunSummary:
-    """Create or complete the store of a call, and return the summary of the run; see ``run``.
+    """Create or complete the store of a call to ``run``, and return the summary of the run.
 
-    ``origin`` is the store whose cells are reused; None for a store of its own.
+    spec    spec of the atlas
+    call    the call, with its store, options and client
+    origin  store whose cells are reused; None if all cells are solved
     """
     options, tile = call.options, call.options.tile
     handle = find_store(call.backend)  # reads only, so that bad input leaves no trace
@@ -105,7 +109,7 @@ def complete(spec: Spec, call: StoreCall, origin: Origin | None = None) -> RunSu
 
 
 class _Run:
-    """A run on a leased store: its unfinished tiles, the jobs for them, and its end."""
+    """A run on a leased store: solves its unfinished tiles on the workers, and then writes overviews and records."""
 
     def __init__(self, handle: AtlasStore, pool: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
         self.handle, self.pool, self.stage = handle, pool, "solving"
@@ -115,7 +119,7 @@ class _Run:
         self.totals = RunTotals(plan, int(self.stored.finished_mask.sum()), cells, retried)
 
     def begin(self) -> None:
-        """Report the progress of the store, and create the groups of its overviews."""
+        """Report the progress of the store, create the groups of its overviews, and write its table of tile records."""
         totals, stage = self.totals, "starting"
         if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
@@ -175,9 +179,9 @@ class _Run:
             raise
 
     def _make(self, jobs: list[RunJob]) -> None:
-        """Run jobs other than tiles on the workers.
+        """Run jobs other than tiles, such as chunks of overviews, on the workers.
 
-        A failed chunk of an overview is left to ``finish``, which raises.
+        A failed chunk of an overview is built again by ``finish``, whose exceptions are not caught.
         """
         for outcome in self.pool.iter_outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
@@ -207,10 +211,10 @@ class _Run:
         self.records.finish(lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
 
     def report(self, stage: str) -> None:
-        """Report the stage of the run."""
+        """Report the progress of the run, with ``stage`` as its present activity."""
         self.pool.call.options.report(self.totals.progress(stage))
 
 
 def memory_of(cells: int) -> int:
-    """Return the bytes of memory that a worker needs for tiles of this number of cells."""
+    """Return the bytes of memory that a worker needs for tiles of ``cells`` cells."""
     return MIN_WORKER_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL_TILE_CELLS)

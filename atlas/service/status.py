@@ -1,4 +1,4 @@
-"""The status of a store: its progress, from its contents and from the lease of the run that writes it."""
+"""The status of a store: its progress, found from its contents and from the lease of the run that writes it."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError
-from atlas.formatting import duration, html_table, text_repr
+from atlas.formatting import Summary, duration
 from atlas.service.lease import LeaseObservation, LeaseObserver, LeaseRecord
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
@@ -19,8 +19,8 @@ from atlas.store.tile_records import TileRecords, count_tiles, counts_by_name
 from workers.results import REASONS, REGIMES
 
 
-@dataclass(frozen=True)
-class StoreStatus:
+@dataclass(frozen=True, repr=False)
+class StoreStatus(Summary):
     """The finished tiles and cells of a store, the regimes of these cells, and the run that writes the store.
 
     handle      handle of the store
@@ -49,7 +49,7 @@ class StoreStatus:
 
     @property
     def progress(self) -> Progress:
-        """The status as a snapshot of the run, with the speed and the remaining time that the run reports."""
+        """The status as the Progress of a run, with the speed and the remaining time that the run reports."""
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
@@ -64,40 +64,28 @@ class StoreStatus:
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds until the run is finished, or None."""
+        """Seconds until the run is finished, at its present speed; None if no run is known to make progress."""
         rate = self.progress.rate
         return (self._reported("cells") - self._reported("cells_done")) / rate if rate else None
 
     def _reported(self, name: str) -> float:
         return self.run.number(name) if self.run else 0
 
-    __repr__ = text_repr
-
     @property
-    def rows(self) -> list[tuple[str, str]]:
-        """The facts about the store, by name."""
+    def rows(self) -> list[tuple[str, ...]]:
+        """Rows of text: the facts about the store by name; then regimes, with their cells and shares of the finished
+        cells; then reasons.
+        """
+        total = max(1, self.cells_done)
         return [
             ("axes", " x ".join(self.handle.spec.axis_descriptions)),
             ("tiles", f"{self.tiles_done} of {self.handle.tiling.count} done"),
             ("cells", f"{self.cells_done} of {self.handle.tiling.cells} done ({100 * self.fraction:.1f} %)"),
             ("solver", f"version {self.handle.solver_version}"),
             ("run", self._run()),
+            *((name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()),
+            *((f"  {line}",) for line in reason_lines(self.reasons)),
         ]
-
-    @property
-    def shares(self) -> list[tuple[str, str, str]]:
-        """The regimes: name, number of cells, and fraction of the finished cells."""
-        total = max(1, self.cells_done)
-        return [(name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()]
-
-    def __str__(self) -> str:
-        lines = [f"{name:<9}{text}" for name, text in self.rows]
-        lines += [f"  {name:<15}{count:>10}  {share:>8}" for name, count, share in self.shares]
-        lines += [f"  {line}" for line in reason_lines(self.reasons)]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        return html_table([*self.rows, *self.shares, *((line,) for line in reason_lines(self.reasons))])
 
     def _run(self) -> str:
         if self.run is None:
@@ -147,11 +135,11 @@ class StoreStatus:
 
 @dataclass(frozen=True)
 class StoreCounts:
-    """The contents of a store.
+    """The numbers of finished tiles and cells in a store.
 
     tiles    number of finished tiles
     regimes  numbers of cells by regime, without zeros
-    reasons  numbers of cells by reason, without zeros
+    reasons  numbers of cells without a certain result, by reason, without zeros
     """
 
     tiles: int
@@ -160,7 +148,7 @@ class StoreCounts:
 
     @classmethod
     def from_lease(cls, seen: LeaseObservation | None) -> "StoreCounts | None":
-        """Return the counts in the progress report of the run that holds a lease.
+        """Return the counts that the run which holds the lease has reported with it.
 
         Return None if no run is alive, or if its report is incomplete.
         """
@@ -177,9 +165,9 @@ class StoreCounts:
 
 
 class StatusReader:
-    """Reads the status of a store, from the report of the run that writes it, else from the tile records.
+    """Reads the status of a store, from the report of the run that writes it, else from the records of the tiles.
 
-    A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of these tiles.
+    A finished tile without a record is counted by reading its chunks; ``tiles_read`` is the number of these tiles.
     """
 
     def __init__(self, handle: AtlasStore, timing: Timing = TIMING) -> None:
@@ -191,9 +179,9 @@ class StatusReader:
     def read(self, settled: bool = False) -> StoreStatus:
         """Return the present status.
 
-        With ``settled`` wait until the lease of another host is known to move or to stand still. If a run held the
-        lease before the count and has ended since, the tiles are counted again. Its last tiles may have come after the
-        count.
+        With ``settled`` wait until the lease of a run on another host is known to be renewed, or known not to be. If a
+        run held the lease before the count and has ended since, the tiles are counted again. Its last tiles may have
+        come after the count.
         """
         look = self.observer.observe_until_settled if settled else self.observer.observe
         seen = look()
@@ -230,14 +218,16 @@ def _token(seen: LeaseObservation | None) -> str:
 def read_status(handle: AtlasStore, timing: Timing = TIMING) -> StoreStatus:
     """Return the status of a store; see ``StatusReader``.
 
-    If the run is on another host, this takes up to ``timing.warn_after`` seconds: only heartbeats show that the run is
-    alive.
+    If the run is on another host, this takes up to ``timing.warn_after`` seconds: only a renewal of its lease shows
+    that the run is alive.
     """
     return StatusReader(handle, timing).read(settled=True)
 
 
 def watch(census: StatusReader, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[StoreStatus]:
-    """Yield statuses, one every ``seconds``, until the atlas is complete or no run has held its lease for a while."""
+    """Yield the status of a store every ``seconds``, until the atlas is complete or no run has held its lease for a
+    while.
+    """
     idle, beat = 0.0, -1
     while True:
         status = census.read()

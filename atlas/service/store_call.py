@@ -1,4 +1,6 @@
-"""A call that computes into a store: its options, the store's backend and lease, and the client of its workers."""
+"""The set-up shared by all functions that compute into a store: options, backend and lease of the store, and Dask
+client.
+"""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -23,12 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass
 class StoreCall:
-    """A call that computes into a store; what it holds is released when ``stack`` is closed.
+    """A call of a function that computes into a store, with the resources that it holds until ``stack`` is closed.
 
-    backend   backend of the store; once the store is leased, its commits confirm the lease
+    backend   backend of the store; once the store is leased, each write that finishes a tile or a
+              table confirms the lease
     options   options of the call, with a reporter of its progress
     client    client of the workers; None if a local cluster is to be started
-    stack     what the call holds until it ends
+    stack     resources that are released at the end of the call
     threads   number of worker threads, once connected
     lease     lease of the store, once acquired
     """
@@ -41,14 +44,17 @@ class StoreCall:
     lease: Lease = field(init=False)
 
     def open(self) -> AtlasStore:
-        """Return the handle of the store. It waits ``options.patience`` seconds for a server that does not respond.
+        """Open the store and return its handle, waiting up to ``options.patience`` seconds for a server that does not
+        respond.
 
         Raise InputError if there is no atlas.
         """
         return open_store(with_patience(self.backend, self.options.patience))
 
     def connect(self) -> None:
-        """Find the workers: those of the client, of the options' scheduler, of an active client, or of this host."""
+        """Find the workers: those of the given client, of the options' scheduler, of an active client, or processes of
+        this host.
+        """
         self.client = connect_client(self.client, self.options, self.stack)
         self.threads = worker_count(self.client, self.options)
 
@@ -62,7 +68,12 @@ class StoreCall:
 def store_call(
     store: Given, client: "Client | None", options: RunOptions, fields: Mapping[str, Any]
 ) -> Iterator[StoreCall]:
-    """Begin a call with these options, of which ``fields`` replace some, and end it with the block.
+    """Begin a call that computes into a store, and end it with the block.
+
+    store    path, URL or backend of the store
+    client   Dask client to compute on, or None
+    options  options of the call
+    fields   fields of RunOptions that replace those of ``options``
 
     Raise InputError if the client contradicts the options, and TypeError for a field that is no option.
     """
@@ -78,9 +89,10 @@ def store_call(
 def hold_store_lease(backend: StoreBackend, options: RunOptions) -> Iterator[Lease]:
     """Hold the lease of a store within the block.
 
-    Partial stores left by killed runs are removed at the start, and the sidecar files of this run at the end. A single
-    heartbeat waits only as long as the backend does. The run as a whole waits ``options.patience`` seconds for the
-    store; meanwhile every commit still confirms the lease.
+    Partial stores left by killed runs are removed at the start, and the sidecar files of this run, small files beside
+    the store, at the end. A single heartbeat, a renewal of the lease, waits only as long as the backend does. The run
+    as a whole waits ``options.patience`` seconds for the store; meanwhile every write that finishes a tile still
+    confirms the lease.
     """
     notes = sidecar_of(with_patience(backend, options.patience))
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from atlas.formatting import duration, plural, shares, text_repr
+from atlas.formatting import Summary, duration, plural, shares
 from atlas.service.plan import Plan
 from atlas.service.progress import Progress, reason_lines
 from atlas.spec.laws import LawUse, law_lines, merged
@@ -15,9 +15,9 @@ from atlas.task.tile_job import TileReport
 
 @dataclass(frozen=True)
 class TileFailure:
-    """A tile that was given up after failed attempts.
+    """A tile, or another job of a run, that was given up after failed attempts.
 
-    index      index of the tile
+    index      index of the tile or job
     message    its last exception, as text
     worker     address of the worker of the last attempt; empty if unknown
     traceback  traceback on the worker
@@ -32,8 +32,8 @@ class TileFailure:
         return f"tile {self.index} failed{f' on {self.worker}' if self.worker else ''}: {self.message}"
 
 
-@dataclass(frozen=True)
-class RunSummary:
+@dataclass(frozen=True, repr=False)
+class RunSummary(Summary):
     """The result of a run.
 
     store                         path or URL of the store
@@ -45,7 +45,7 @@ class RunSummary:
     periods                       forcing periods simulated; natural ones for a machine without a force
     workers                       number of worker threads
     peak_bytes                    largest memory of any worker's process
-    failures, refused             tiles that failed; excluded workers, and the reasons
+    failures, refused             tiles that failed; reasons for the exclusion of workers, by address
     retried, changed              True for the store of a retry; number of cells that changed their regime
     processor_seconds             processor time in the solver, summed over workers; other programs do not count
     laws                          use of the laws that are expressions, in the cells solved by this run
@@ -81,12 +81,12 @@ class RunSummary:
         """Share of the workers' time spent solving; the rest is writing, queues and waiting for the last tile."""
         return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
 
-    __repr__ = text_repr
-
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The facts of the run, as sentences."""
         tiles_line = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
         if not self.tiles_solved:
-            return tiles_line
+            return [(tiles_line,)]
         lines = [
             tiles_line,
             f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
@@ -99,11 +99,11 @@ class RunSummary:
         ]
         if self.retried:
             lines.append(f"{plural(self.changed, 'cell')} changed regime")
-        return "\n".join(lines + reason_lines(self.reasons) + law_lines(self.laws))
+        return [(line,) for line in lines + reason_lines(self.reasons) + law_lines(self.laws)]
 
 
 class RunTotals:
-    """The totals of a run, from the reports so far."""
+    """The totals of a run, summed over the reports of its tiles so far."""
 
     def __init__(self, plan: Plan, tiles_done: int = 0, cells_done: int = 0, retried: bool = False) -> None:
         self.plan, self.retried, self.workers = plan, retried, plan.workers
@@ -119,11 +119,11 @@ class RunTotals:
         self.start()
 
     def start(self) -> None:
-        """Start the clock."""
+        """Start measuring the seconds of the run."""
         self.begin = time.perf_counter()
 
     def add(self, outcome: TileReport | TileFailure) -> None:
-        """Add the outcome of one tile."""
+        """Add the report or the failure of one tile to the totals."""
         self.seconds = time.perf_counter() - self.begin
         if isinstance(outcome, TileFailure):
             self.failures += (outcome,)
@@ -138,13 +138,13 @@ class RunTotals:
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
 
     def progress(self, stage: str) -> Progress:
-        """Return a snapshot of the progress."""
+        """Return the progress of the run, with ``stage`` as its present activity."""
         names = ("plan", "tiles", "cells", "tiles_done", "cells_done", "cells_solved", "seconds")
         now = {name: getattr(self, name) for name in names}
         return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
 
     def report(self, threads: int) -> dict[str, Any]:
-        """Return the progress of the run as a dict of plain JSON, to be written into the lease of the store.
+        """Return the progress of the run as a dict for JSON, which is written into the lease of the store.
 
         ``atlas status`` reads it there.
         """

@@ -1,8 +1,8 @@
-"""The order of tiles: a coarse lattice first, then the costliest tiles, as predicted from the lattice.
+"""The order in which tiles are solved: first a coarse lattice, then the others by predicted cost, the costliest first.
 
-Costs of tiles differ a hundredfold. A large cluster waits for a costly tile that is begun last, as happens row by row
-if the chaos lies in the last rows. Neighbouring tiles cost about the same, so the reports of the lattice predict the
-other costs for free. A probe of some cells of each tile predicts no better and costs time.
+Costs of tiles differ a hundredfold. If tiles were solved row by row and chaos lay in the last rows, a large cluster
+would end up waiting for a costly tile begun last. Neighbouring tiles cost about the same, so the reports of the lattice
+predict the other costs for free. A probe of some cells of each tile predicts no better and costs time.
 """
 
 from collections.abc import Iterator
@@ -10,13 +10,16 @@ from collections.abc import Iterator
 import numpy as np
 
 STRIDE = 4
-"""Distance, in tiles along each dimension, of the first lattice; the second lattice has half of it."""
+"""Distance, in tiles along each dimension, between tiles of the first lattice; half of it for the second lattice."""
 NEIGHBOURS = 4
 """Number of tiles of known cost from which the cost of another tile is predicted."""
 
 
 class TileOrder:
-    """An iterator over the indices of the unfinished tiles, each a tuple; costs recorded so far decide the order."""
+    """An iterator over the indices of the unfinished tiles, in the order in which they should be solved.
+
+    Costs of tiles that are recorded during the iteration change the order of the remaining tiles.
+    """
 
     def __init__(self, unfinished: np.ndarray) -> None:
         self._due = unfinished
@@ -24,7 +27,7 @@ class TileOrder:
         self._noted = 0
 
     def record_cost(self, index: tuple[int, ...], cost: float) -> None:
-        """Record the cost of a tile, in any unit."""
+        """Record the cost of a solved tile, in any unit, from which the costs of other tiles are predicted."""
         self._cost[index] = cost
         self._noted += 1
 

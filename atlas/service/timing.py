@@ -8,19 +8,19 @@ from atlas.formatting import short_repr
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds, each positive or 0; the defaults suit a cluster on a network.
+    """Waiting times in seconds, each positive or 0; the defaults suit a cluster on a network.
 
     connect             time for a scheduler to answer
     replacement_worker  time for a scheduler to get a worker after all others refused
     tick                interval of looking at the cluster and the lease while tiles are solved
-    poll                interval of looking at a coordinator that is to begin
-    heartbeat           interval of the heartbeats of a lease
+    poll                interval of looking whether a cluster has its first worker, or can be reached
+    heartbeat           interval of the renewals of a lease
     lease_poll          interval of looking at the lease of another run
-    warn_after          silence of a lease that is reported: one heartbeat may be late, two rarely are
+    warn_after          time without renewal after which a lease is reported: one may be late, two rarely are
     stall_after         time without a finished tile after which a run gives the reason, if known
-    hung                time after which a worker that finishes no job may hang, if it is also many times the longest
-                        job so far
-    expire_after        silence after which a lease has expired: ten heartbeats, for a busy network disk
+    hung                time after which a worker that finishes no job may hang, if it is also many times the median
+                        duration of a job
+    expire_after        time without renewal after which a lease has expired: ten intervals, for a busy network disk
     """
 
     connect: float = 5.0

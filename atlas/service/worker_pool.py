@@ -1,6 +1,6 @@
 """The Dask workers of a run, for one leased store.
 
-A pool uses the workers of a given client, or starts a local cluster when the first job is submitted.
+They are the workers of a given client, or of a local cluster, which is started when the first job is submitted.
 """
 
 import time
@@ -25,10 +25,10 @@ from workers import SOLVER_VERSION
 
 @dataclass
 class WorkerPool(Generic[J, R]):
-    """Dask workers for a leased store; the first use of ``dispatcher`` sets them up.
+    """Dask workers for a leased store; the first use of ``dispatcher`` connects to them.
 
     call     call that leases the store
-    handle   handle of the store, whose commits confirm the lease
+    handle   handle of the store, whose backend confirms the lease before it writes a finished tile
     run      function that does a job on a worker
     kernels  kernels that the jobs need, compiled before the first job
     memory   bytes of memory that a worker needs
@@ -47,13 +47,15 @@ class WorkerPool(Generic[J, R]):
 
     @cached_property
     def store_ref(self) -> StoreRef:
-        """The reference to the store that jobs receive."""
+        """The reference to the store that jobs carry to the workers."""
         backend, patience = picklable_backend(self.handle.backend), self.call.options.patience
         return StoreRef(backend, self.handle.run_id, SOLVER_VERSION, patience, self.call.lease.token)
 
     @cached_property
     def dispatcher(self) -> Dispatcher[J, R]:
-        """The dispatcher of the pool's workers; a local cluster is open until the call ends."""
+        """The dispatcher, which sends jobs to the workers; a local cluster that it starts is open until the call
+        ends.
+        """
         call = self.call
         if call.client is None:
             prepare_kernels(call.options.report, *self.kernels)
@@ -62,7 +64,7 @@ class WorkerPool(Generic[J, R]):
         return Dispatcher(client, self.run, call.options.timing, self.memory)
 
     def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
-        """Yield the outcomes of jobs as ``Dispatcher.iter_outcomes`` does.
+        """Run jobs on the workers and yield their reports or failures, as ``Dispatcher.iter_outcomes`` does.
 
         Raise RunError also if the lease has been lost meanwhile.
         """

@@ -1,4 +1,4 @@
-"""The table ``[attractors]`` of a spec: initial states of the search in each cell."""
+"""The table ``[attractors]`` of a spec: the initial states from which attractors are searched in each cell."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -12,11 +12,11 @@ from workers.settings import Settings
 
 KEYS = ("starts", "seed", "box", "keep")
 MOST_COST = 2**31 - 1
-"""Largest cost of a cell in forcing periods, by the width of ``periods_used``."""
+"""Maximum cost of a cell in forcing periods: the largest number that its result ``periods_used`` can hold."""
 
 
 def parse_attractors(attractors: object, system: System, settings: Settings) -> AttractorSettings | None:
-    """Return the initial states of a table; None if there is no table.
+    """Convert the table ``[attractors]`` of a spec to the settings of the search; None if there is no table.
 
     Raise InputError, naming the key, for a wrong table.
     """
@@ -43,7 +43,7 @@ def parse_attractors(attractors: object, system: System, settings: Settings) -> 
 
 
 def cell_attractors(starts: int, system: System, settings: Settings) -> AttractorSettings:
-    """Return the initial states of a search for all attractors of one cell.
+    """Return settings of a search for all attractors of one cell, from ``starts`` initial states.
 
     Raise InputError as ``parse_attractors`` does.
     """
@@ -55,13 +55,15 @@ def cell_attractors(starts: int, system: System, settings: Settings) -> Attracto
 def search_to_json(
     system: System, parameters: Mapping[str, float], settings: Settings, search: AttractorSettings
 ) -> dict[str, Any]:
-    """Return the system, parameters, settings and search of one cell in full, as plain JSON."""
+    """Return system, parameters, settings and attractor search of one cell as a dict for JSON, with all defaults filled
+    in.
+    """
     described = {"parameters": parameters, "solve": asdict(settings), "search": attractors_to_json(search)}
     return system.to_resolved() | described
 
 
 def attractors_to_json(starts: AttractorSettings) -> dict[str, Any]:
-    """Return the table as plain JSON."""
+    """Return the settings of an attractor search as a table ``[attractors]``, as a dict for JSON."""
     box = {name: [low, high] for name, low, high in starts.box}
     return {"starts": starts.count, "seed": starts.seed, "box": box, "keep": starts.keep}
 

@@ -1,4 +1,4 @@
-"""An axis of the parameter plane: a name and the exact values at its points."""
+"""The axes of an atlas: each has the name of a parameter and the exact values at its points."""
 
 import itertools
 import math
@@ -59,13 +59,13 @@ class Axis:
         return f"{self.name} {self.start:g}..{self.stop:g} ({len(self)} values{scale}{continued})"
 
     def to_resolved(self) -> dict[str, Any]:
-        """Return the axis as plain JSON."""
+        """Return the axis as a dict for JSON, with all its values."""
         continued = {"continuation": self.continuation} if self.continuation else {}
         return {"name": self.name, "scale": self.scale, **continued, "values": list(self.values)}
 
 
 def number(where: str, value: object) -> float:
-    """Return the value as a float; raise InputError, naming ``where``, unless the value is a finite real number."""
+    """Return a value from a spec as a float; raise InputError, naming ``where``, unless it is a finite real number."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise InputError(f"{where}: found {brief_repr(value)}, must be a number")
     try:
@@ -86,7 +86,7 @@ def validate_in_range(parameter: Parameter, value: object) -> float:
 
 
 def read_axis(parameter: Parameter, value: object) -> Axis:
-    """Return the Axis of ``{start, stop, num}``, ``{values}``, or a list or an array of values.
+    """Return the axis that a spec describes as ``{start, stop, num}``, ``{values}``, or a list or an array of values.
 
     A table may also have a scale and a continuation.
     """
@@ -116,7 +116,9 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
 
 
 def _checked_kind(where: str, table: Mapping[str, Any]) -> tuple[str, str | None]:
-    """Return scale and continuation of an axis."""
+    """Return scale and continuation of an axis from its table. Raise InputError, naming ``where``, if either is
+    invalid.
+    """
     scale, continuation = table.get("scale", "linear"), table.get("continuation")
     if scale not in SCALES:
         raise InputError(f"{where}.scale: found {brief_repr(scale)}, must be one of {', '.join(SCALES)}")
@@ -128,7 +130,7 @@ def _checked_kind(where: str, table: Mapping[str, Any]) -> tuple[str, str | None
 
 
 def _validate_num(where: str, table: Mapping[str, Any]) -> int:
-    """Return the number of values in a table; raise InputError unless it is an integer."""
+    """Return the number of values that an axis's table states; raise InputError unless it is an integer."""
     num = table["num"]
     if not is_integer(num):
         raise InputError(f"{where}.num: found {brief_repr(num)}, must be a whole number, 1 or more")
@@ -151,7 +153,7 @@ def _listed(where: str, table: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 def spaced_values(where: str, table: Mapping[str, Any], scale: str) -> tuple[float, ...]:
-    """Return the values with even spacing on a scale of a table with start, stop and num.
+    """Return the values of an axis from a table with start, stop and num, evenly spaced on its scale.
 
     Raise InputError, naming ``where``, for an invalid table.
     """
@@ -176,13 +178,15 @@ def spaced_values(where: str, table: Mapping[str, Any], scale: str) -> tuple[flo
 
 
 def check_count(where: str, count: int) -> None:
-    """Raise InputError, naming ``where``, unless an axis may have this number of points."""
+    """Raise InputError, naming ``where``, if ``count`` exceeds the number of points that an axis may have."""
     if not 1 <= count <= MAX_POINTS:
         raise InputError(f"{where}: found {brief_repr(count)} points, must be 1 to {MAX_POINTS}")
 
 
 def all_floats(values: Sequence[object]) -> tuple[float, ...]:
-    """Return the values if all are finite floats, else (). They are checked at once, since there may be very many."""
+    """Return the values as a tuple if all are finite floats, else (). All are checked in one pass, since there may be
+    many.
+    """
     if not all(type(value) is float for value in values):
         return ()
     floats = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from atlas.spec.spec import Spec
 
 LONE_CELL = 0.05
-"""Half width of the cell of an axis with one point, relative to its value, or absolute if the value is 0."""
+"""Half width of the cell of an axis with one point, relative to its value; absolute if the value is 0."""
 
 
 def is_uniform(values: NDArray[np.float64]) -> bool:
@@ -37,7 +37,12 @@ def edges_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
 def nearest(name: str, values: NDArray[np.float64], edges: NDArray[np.float64], value: float) -> int:
     """Return the index of the point of an axis whose cell, as it is drawn, contains a value.
 
-    On a log axis, this is the point nearest in ratio. Raise InputError more than half a cell beyond the ends.
+    name    name of the axis
+    values  points of the axis
+    edges   edges of the cells
+    value   the value
+
+    On a log axis, this is the point nearest in ratio. Raise InputError if the value lies beyond the outermost edges.
     """
     if not edges[0] <= value <= edges[-1]:
         raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
@@ -57,5 +62,5 @@ def widths_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
 
 
 def widths_along(spec: "Spec") -> tuple[NDArray[np.float64], ...]:
-    """Return ``widths_of`` the cells of a whole plane along each of its dimensions."""
+    """Return the relative widths of all cells of an atlas along each of its dimensions, see ``widths_of``."""
     return tuple(widths_of(np.array(axis.values), axis.scale == "log") for axis in reversed(spec.axes))

@@ -1,4 +1,4 @@
-"""The citations of an atlas as BibTeX: software, method, and sources of its machine."""
+"""What to cite for an atlas, as BibTeX: the software, the method, and the sources of the machine."""
 
 import re
 
@@ -21,7 +21,7 @@ _REFERENCE = re.compile(
 
 
 def software(version: str, solver_version: int) -> str:
-    """Return the entry of the software, with the solver version that a paper needs to be reproducible."""
+    """Return the BibTeX entry of the software. It has the solver version, which a paper needs to be reproducible."""
     return f"""@software{{impact-atlas,
   author  = {{{{impact-atlas contributors}}}},
   title   = {{impact-atlas: maps of chaos in vibro-impact oscillators}},
@@ -31,7 +31,7 @@ def software(version: str, solver_version: int) -> str:
 
 
 def sources(system: System) -> list[str]:
-    """Return an entry for each reference in a system's ``source``; references other than journal articles become notes.
+    """Return a BibTeX entry for each reference in a system's ``source``; one that is no journal article becomes a note.
 
     References are separated by semicolons: "Shaw S. W. & Holmes P. J., J. Sound Vib. 90 (1983) 129". The packaged
     systems give no titles of articles. The paper of the method has an entry of its own.
@@ -52,13 +52,18 @@ def sources(system: System) -> list[str]:
 
 
 def software_version(packages: str) -> str:
-    """Return the version of this package in a store's attribute ``software``."""
+    """Return the version of this package from the text of a store's attribute ``software``."""
     match = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", packages)
     return match[1] if match else "unknown"
 
 
 def bibtex(system: System, version: str, solver_version: int) -> str:
-    """Return all entries for an atlas of a system computed by a version of the package."""
+    """Return all BibTeX entries to cite for an atlas of a system.
+
+    system          system of the atlas
+    version         version of the package that computed it
+    solver_version  its solver version
+    """
     return "\n\n".join([software(version, solver_version), METHOD, *sources(system)])
 
 

@@ -1,4 +1,4 @@
-"""The differences of two specs, as text."""
+"""The differences between two specs, as text for messages."""
 
 from dataclasses import asdict
 
@@ -8,7 +8,7 @@ from workers.model.system import identity
 
 
 def differences(stored: Spec, spec: Spec) -> list[str]:
-    """Return the differences of two specs, a short line for each."""
+    """Return a short line of text for each difference between a stored spec and another."""
     texts = []
     if stored.system != spec.system:
         texts.append(f"system {stored.system} in the store, {spec.system} in the spec")
@@ -45,7 +45,7 @@ def differences(stored: Spec, spec: Spec) -> list[str]:
 
 
 def _defined_otherwise(stored: Spec, spec: Spec) -> str:
-    """Return the entries that differ between two systems of the same name, as text."""
+    """Return text about the entries in which the systems of two specs differ although they have the same name."""
     if stored.system_def.packaged or spec.system_def.packaged:
         return "only one of the two is in the package"
     one, other = (identity(one_spec.system_def.to_resolved())["system"] for one_spec in (stored, spec))

@@ -1,4 +1,4 @@
-"""The equation of motion of a system as text: by its author, or generated from its definition."""
+"""The equation of motion of a system as text: as its author wrote it, or generated from its definition."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -57,7 +57,7 @@ def equation_of(system: System) -> str:
 
 
 def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int, int]) -> list[str]:
-    """Return the lines of a contact: its coordinate, its free range, and its law outside."""
+    """Return lines of text about a contact: its coordinate, the range between its stops, and its law beyond them."""
     gap = _sum(zip(contact.gap, coordinates, strict=True))
     name = gap if gap in coordinates else "gap"
     if not contact.stops:
@@ -76,7 +76,7 @@ def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int
 
 
 def _changes(phase: Phase) -> Iterator[str]:
-    """Yield (entry, expression) for each entry of the machine that a phase replaces."""
+    """Yield a text for each entry of the machine's definition that a phase of the forcing period replaces."""
     for key in ("stiffness", "damping"):
         if (matrix := getattr(phase, key)) is not None:
             yield f"{key} ({', '.join(map(_row, matrix)) if len(matrix) > 1 else _number(matrix[0][0])})"
@@ -92,14 +92,14 @@ def _row(row: Row) -> str:
 
 
 def _level(friction: Friction, counts: Mapping[int, int]) -> str:
-    """Return the force of sliding friction as text."""
+    """Return the force of sliding friction, as a text with a law or constants."""
     if friction.law is not None:
         return _law(friction, counts)
     return _sum([(friction.kinetic, ""), (friction.slope, "|v|")])
 
 
 def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str:
-    """Return the law of an element: its expression, or its first and last point and the number of segments."""
+    """Return the law of an element as text: its expression, or its first and last point and the number of segments."""
     law, count = element.law, counts[id(element)]
     if isinstance(law, Expression):
         assert element.within is not None
@@ -110,7 +110,10 @@ def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str
 
 
 def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:
-    """Return the amplitudes of a harmonic on a coordinate, with sin(order (omega t + tau) + phase) and its cosine."""
+    """Return the terms of one harmonic of the force on coordinate i, as pairs of an amplitude and a text.
+
+    The texts are sin(order (omega t + tau) + phase) and its cosine.
+    """
     angle = "omega t + tau" if harmonic.order == 1 else f"{harmonic.order} (omega t + tau)"
     phase = harmonic.phase[i]
     angle = angle if phase.constant == 0.0 else _sum([(None, angle), (phase, "")])
@@ -118,7 +121,7 @@ def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:
 
 
 def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
-    """Return the sum of coefficients times terms; a coefficient of None is 1, zero terms are omitted."""
+    """Return a sum of terms as text, each with its coefficient; a coefficient of None is 1, zero terms are omitted."""
     text = ""
     for coefficient, of in terms:
         if coefficient is not None and coefficient.constant == 0.0:
@@ -134,7 +137,7 @@ def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
 
 
 def _term(coefficient: Expression, of: str) -> str:
-    """Return a coefficient times its term, or the coefficient alone."""
+    """Return a coefficient times ``of`` as text; the coefficient alone if ``of`` is empty."""
     if not of:
         return _factor(coefficient)
     if coefficient.constant in (1.0, -1.0):
@@ -143,7 +146,7 @@ def _term(coefficient: Expression, of: str) -> str:
 
 
 def _factor(expression: Expression) -> str:
-    """Return an expression as a factor of a product: a sum in parentheses."""
+    """Return an expression as text for a factor of a product, with parentheses around a sum."""
     text, outside = _number(expression), _number(expression)
     while "(" in outside:
         outside = re.sub(r"\([^()]*\)", "", outside)
@@ -151,7 +154,7 @@ def _factor(expression: Expression) -> str:
 
 
 def _number(expression: Expression) -> str:
-    """Return an expression in usual notation: without spaces between all its parts and points in integers."""
+    """Return an expression in usual notation: whole numbers without a point, few spaces."""
     if expression.constant is not None:
         return f"{expression.constant:.12g}"
     text = re.sub(r"(?<![\w.])(\d+)\.0(?!\d)", r"\1", expression.text)

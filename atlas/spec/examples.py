@@ -1,4 +1,4 @@
-"""The packaged examples of specs."""
+"""The packaged examples of specs, as TOML text and by name."""
 
 import os
 from collections.abc import Mapping
@@ -27,13 +27,18 @@ def example_text(name: str) -> str:
 
 
 def example_system(name: str) -> System | None:
-    """Return the system that the packaged example of this name describes itself; None if there is none."""
+    """Return the system that a packaged example defines in its own text; None if it uses a packaged system or is
+    unknown.
+    """
     table = parse_toml(example_text(name))["system"] if name in example_names() else None
     return System.from_mapping(table) if isinstance(table, Mapping) else None
 
 
 def packaged_text(name: str) -> str:
-    """Return the packaged example named in place of a file; raise InputError if neither exists."""
+    """Return the text of a packaged example that is named where a file is expected.
+
+    Raise InputError if there is neither a file nor an example of this name.
+    """
     if name.endswith(".toml") or "/" in name or os.sep in name:
         raise InputError("no such file")
     try:

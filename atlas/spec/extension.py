@@ -11,16 +11,20 @@ from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 
 SAME_VALUE_ULPS = 64
-"""Difference, in units in the last place, up to which a new value counts as an old one.
+"""Maximum difference, in units in the last place, between a new and a stored value of an axis that count as equal.
 
-Two ways to space points differ that much.
+Two ways to compute evenly spaced points differ by that much.
 """
 
 
 def extend_spec(stored: Spec, spec: Spec, name: str) -> Spec:
-    """Return the given spec with the stored spec's own values, see ``keep_values``.
+    """Return ``spec``, of a larger or finer atlas, with the values of the stored axes to the bit where they occur.
 
-    Raise InputError, beginning with the name of the store, if more than values differ.
+    stored  spec of the stored atlas
+    spec    spec of the new atlas
+    name    name of the store, for messages
+
+    Raise InputError if the specs differ in more than the values on the axes.
     """
     if stored.continuation is not None or spec.continuation is not None:
         raise InputError(f"{name}: a continued sweep cannot be extended: each cell depends on the cells before it")
@@ -71,7 +75,9 @@ def _finer(axis: Axis, factor: int) -> Axis:
 
 
 def keep_values(stored: Axis, axis: Axis) -> Axis:
-    """Return the given axis, with stored values in place of values that differ by rounding only."""
+    """Return an axis in which values that differ from a stored value only by rounding are replaced by the stored
+    value.
+    """
     old, new = np.array(stored.values), np.array(axis.values)
     after = np.searchsorted(old, new)
     below, above = old[np.maximum(after - 1, 0)], old[np.minimum(after, len(old) - 1)]

@@ -1,7 +1,8 @@
 """The form of a spec file as a JSON Schema, with which editors of TOML complete and check the file.
 
-The schema is generated from the records that check a spec. ``Spec`` also refuses every spec that the schema refuses,
-except for an unused ``stop`` of an axis of one value. ``Spec`` alone checks the rest, such as rising values of an axis.
+The schema is generated from the same definitions by which ``Spec`` checks a spec. ``Spec`` also refuses every spec that
+the schema refuses, except for an unused ``stop`` of an axis of one value. ``Spec`` alone checks the rest, such as
+rising values of an axis.
 """
 
 import math
@@ -39,7 +40,7 @@ _NAME: Schema = {"type": "string", "pattern": f"^{NAME.pattern}$"}
 
 
 def spec_schema() -> Schema:
-    """Return the schema of a spec file. TOML's infinities and NaN are not JSON: a validator sees floats there."""
+    """Return the JSON Schema of a spec file. TOML's infinities and NaN are not JSON: a validator sees floats there."""
     sections = {
         "system": {
             "description": "a packaged system, the path of a .toml file, or a definition",
@@ -101,7 +102,7 @@ def _range(parameter: Parameter) -> Schema:
 
 
 def _values_within(ends: Schema) -> Schema:
-    """Return the schema of the values of an axis, a list or a table, within a range."""
+    """Return the schema of the values of an axis, a list or a table, within the range ``ends``."""
     return {"items": ends, "properties": {"start": ends, "stop": ends, "values": {"items": ends}}} if ends else {}
 
 
@@ -127,7 +128,7 @@ def _axis() -> Schema:
 
 
 def _settings() -> Schema:
-    """Return the schema of the settings of a cell."""
+    """Return the schema of the table [solve], the settings of a cell."""
     kinds: Schema = {name: {"enum": list(known)} for name, known in VALID_WORDS.items()}
     kinds |= {name: _whole(*ends) for name, ends in INTEGER_BOUNDS.items()}
     kinds |= {"tolerance": {**_NUMBER, **_POSITIVE}, "observe": _TEXT}
@@ -140,7 +141,7 @@ def _settings() -> Schema:
 
 
 def _attractors() -> Schema:
-    """Return the schema of the initial states from which attractors are searched."""
+    """Return the schema of the table [attractors], the initial states from which attractors are searched."""
     defaults = {"starts": AttractorSettings.count, "seed": AttractorSettings.seed, "keep": AttractorSettings.keep}
     entries: Schema = {name: {**_whole(*ends), "default": defaults[name]} for name, ends in STARTS.items()}
     entries["box"] = {
@@ -151,7 +152,7 @@ def _attractors() -> Schema:
 
 
 def _definition() -> Schema:
-    """Return the schema of a machine as a table [system].
+    """Return the schema of the table [system] that defines a machine.
 
     Its keys are some of ``KEYS``; the sizes of rows and matrices are limited by the number of coordinates.
     """
@@ -179,14 +180,14 @@ def _definition() -> Schema:
 
 
 def _harmonic(row: Schema) -> Schema:
-    """Return the schema of a harmonic of the force."""
+    """Return the schema of a harmonic of the force. ``row`` is the schema of a value per coordinate."""
     order: Schema = {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]}
     table = _table({key: order if key == "order" else row for key in HARMONIC_KEYS}, ["order"])
     return {**table, "anyOf": [{"required": ["force"]}, {"required": ["cosine"]}]}
 
 
 def _element(keys: Iterable[str], required: list[str]) -> Schema:
-    """Return the schema of a contact or a friction element: a name, a row, and constants."""
+    """Return the schema of a contact or a friction element: a name, a row of coefficients, and constants."""
     known: Schema = {
         "name": _NAME,
         "gap": _list(_ENTRY, 1, MAX_COORDINATES),
@@ -199,7 +200,7 @@ def _element(keys: Iterable[str], required: list[str]) -> Schema:
 
 
 def _phase(row: Schema, matrix: Schema) -> Schema:
-    """Return the schema of a phase: a part of each forcing period, and its changes."""
+    """Return the schema of a phase: a part of each forcing period in which entries of the definition are replaced."""
     entries: Schema = {
         "start": _ENTRY, "stiffness": matrix, "damping": matrix, "force": row, "cosine": row,
         "load": row, "contacts": _map(_table({key: _ENTRY for key in PAD})),
@@ -209,27 +210,32 @@ def _phase(row: Schema, matrix: Schema) -> Schema:
 
 
 def _measure(row: Schema) -> Schema:
-    """Return the schema of an output and its reports."""
+    """Return the schema of an output of a machine, a combination of its coordinates, and of the results reported about
+    it.
+    """
     report = {**_list({"enum": list(REPORTS)}, 1), "uniqueItems": True}
     known: Schema = {"weight": _ENTRY, "report": report}
     return _table({key: known.get(key, row) for key in MEASURE_KEYS}, ["report"])
 
 
 def _own_parameter() -> Schema:
-    """Return the schema of a parameter of a definition: its default, or a table."""
+    """Return the schema of a parameter in a definition: a number, its default, or a table with more about it."""
     words: Schema = {"type": "string", "maxLength": 200}
     flags: Schema = {"low_open": _FLAG, "high_open": _FLAG, "symbol": words, "unit": words, "meaning": words}
     return {"anyOf": [_NUMBER, _table({key: flags.get(key, _NUMBER) for key in PARAMETER_KEYS})]}
 
 
 def _table(entries: Mapping[str, Any], required: Iterable[str] = ()) -> Schema:
-    """Return the schema of a table of these keys and no others."""
+    """Return the schema of a table with these entries, by key, and no others."""
     needed = {"required": [*required]} if required else {}
     return {"type": "object", "properties": dict(entries), "additionalProperties": False, **needed}
 
 
 def _map(value: Schema, minimum: int = 0, limit: int | None = None) -> Schema:
-    """Return the schema of a table of any names, each with a value of the schema ``value``."""
+    """Return the schema of a table with arbitrary keys, whose values have the schema ``value``.
+
+    ``minimum`` and ``limit`` bound the number of keys; None for no limit.
+    """
     ends = ({"minProperties": minimum} if minimum else {}) | ({} if limit is None else {"maxProperties": limit})
     return {"type": "object", "additionalProperties": value, **ends}
 
@@ -244,5 +250,5 @@ def _whole(low: int, high: int | None = None) -> Schema:
 
 
 def _without(keys: Iterable[str]) -> Schema:
-    """Return the schema of the absence of all these keys."""
+    """Return a schema that forbids all these keys."""
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}

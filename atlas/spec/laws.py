@@ -1,4 +1,7 @@
-"""How far cells use the laws of a machine that are expressions, as text for one cell or for many."""
+"""How far cells leave the range of laws that are given as expressions, and the error of these laws' segments.
+
+A law, such as the force of a contact, that is an expression is replaced by straight segments over a range.
+"""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -12,15 +15,15 @@ from workers.model.system import System
 __all__ = ["LawUse", "law_lines", "law_names", "law_uses", "merged", "uses_of_cell"]
 
 SHOWN = 1e-10
-"""Error of the force, as a share, below which no digit changes that a terminal shows."""
+"""Error of the force, relative to the largest force, below which no digit that a terminal shows can change."""
 
 
 class LawUse(NamedTuple):
-    """Use of a law by some cells.
+    """How far some cells used a law that is an expression, and the error of its segments.
 
-    beyond  number of cells that left its range
-    share   largest share of the range that was used
-    error   largest error of the force, as a share
+    beyond  number of cells whose motion left the range of the law
+    share   largest used share of the range; above 1 beyond it
+    error   largest error of the force, relative to the largest force
     """
 
     beyond: int
@@ -29,12 +32,12 @@ class LawUse(NamedTuple):
 
 
 def law_names(system: System) -> list[str]:
-    """Return the variables that say how far laws were used; empty if no law is an expression."""
+    """Return the names of the results about the use of laws; empty if the system has no law that is an expression."""
     return [element.name + ending for element in system.definition.fitted for ending in (RANGE_SHARE, LAW_ERROR)]
 
 
 def law_uses(system: System, results: Mapping[str, Any]) -> dict[str, LawUse]:
-    """Return the use of each law, by its element's name, from results of cells.
+    """Return the use of each law, by the name of the element with the law, from results of cells by name.
 
     NaN and missing results are left out.
     """
@@ -51,13 +54,15 @@ def law_uses(system: System, results: Mapping[str, Any]) -> dict[str, LawUse]:
 
 
 def uses_of_cell(system: System, results: Mapping[str, Any]) -> dict[str, LawUse]:
-    """Return the use of each law by one cell, and by all its attractors if the results list them."""
+    """Return the use of each law by one cell, and by all its attractors if the results list them, by the law's
+    element.
+    """
     uses = merged(law_uses(system, one) for one in (results, *results.get("coexisting", ())))
     return {name: use._replace(beyond=min(use.beyond, 1)) for name, use in uses.items()}
 
 
 def merged(uses: Iterable[Mapping[str, LawUse]]) -> dict[str, LawUse]:
-    """Return the use of each law by all cells, from its use by parts of the cells."""
+    """Return the use of each law by all cells, from the uses by disjoint groups of cells."""
     total: dict[str, LawUse] = {}
     for part in uses:
         for name, use in part.items():
@@ -67,7 +72,9 @@ def merged(uses: Iterable[Mapping[str, LawUse]]) -> dict[str, LawUse]:
 
 
 def law_lines(uses: Mapping[str, LawUse]) -> list[str]:
-    """Return a line for each law that was used beyond its range, or whose error decides digits that are shown."""
+    """Return a line of text for each law that was used beyond its range, or whose error affects digits that are
+    shown.
+    """
     lines = []
     for name, use in uses.items():
         words = []

@@ -1,4 +1,4 @@
-"""A table of points: parameter sets, one row per cell, in place of axes."""
+"""A table of points: parameter sets, one row per cell, which a spec may have in place of axes."""
 
 import csv
 import itertools
@@ -16,22 +16,22 @@ from workers.model.system import System
 POINT = "point"
 """Name of the dimension along the rows, which are numbered from 0."""
 FILE = "file"
-"""Key of a spec's [points] with the file name."""
+"""Key of the table [points] of a spec whose value is the name of a CSV file."""
 
 MAX_FILE = 10**9
-"""Maximum size, in bytes, of the file of a table: its numbers take about four times as much memory."""
+"""Maximum size, in bytes, of a CSV file of points: its numbers take about four times as much memory."""
 
 Columns = Values
-"""The columns of a table by name."""
+"""The columns of a table of points, each with the values of one parameter, by name."""
 
 
 def row_count(points: Columns) -> int:
-    """Return the number of rows of a table."""
+    """Return the number of rows of a table of points."""
     return len(next(iter(points.values())))
 
 
 def parse_points(points: object, system: System, folder: Path | None = None) -> Columns:
-    """Return the columns of a table by name.
+    """Return the columns of a table of points by name.
 
     ``points`` is ``{"file": path}``, with a path relative to ``folder`` if given, or a mapping of names to lists of
     values of one length. Raise InputError with row and column for a value that is no number, or is outside its
@@ -47,17 +47,17 @@ def parse_points(points: object, system: System, folder: Path | None = None) -> 
 
 
 def axis_of(points: Columns) -> Axis:
-    """Return the rows of a table as an axis of row numbers."""
+    """Return an axis for a table of points, whose values are the row numbers."""
     return Axis(POINT, tuple(map(float, range(row_count(points)))))
 
 
 def describe_points(points: Columns) -> str:
-    """Return a table as a short text."""
+    """Return a short text about a table of points: its size and its columns."""
     return f"{row_count(points)} rows of {', '.join(points)}"
 
 
 def describe_difference(stored: Columns, points: Columns) -> list[str]:
-    """Return the difference of two tables as a short text; empty if they are equal."""
+    """Return a list with a short text about the difference of two tables of points; empty if they are equal."""
     if stored == points:
         return []
     if stored.keys() != points.keys():
@@ -71,7 +71,7 @@ def describe_difference(stored: Columns, points: Columns) -> list[str]:
 
 
 def _read_file(path: Path, system: System) -> Columns:
-    """Return the columns of a CSV file."""
+    """Read a CSV file of parameter sets and return its columns. Raise InputError as ``parse_points`` does."""
     if path.exists() and not path.is_dir() and not path.is_file():  # a device or a pipe may never end
         raise InputError(f"{path}: cannot be read: not a regular file")
     try:
@@ -140,7 +140,7 @@ def _checked_columns(where: str, table: Mapping[str, Any], system: System) -> Co
 
 
 def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float, ...]:
-    """Return the values if all are floats that the parameter admits; else ()."""
+    """Return the values as a tuple if all are floats in the parameter's valid range; else ()."""
     floats = all_floats(values)
     return floats if np.all(parameter.admits(np.array(floats))) else ()
 

@@ -1,4 +1,7 @@
-"""Resolved specs as plain JSON: with the values of all axes for the digest, with evenly spaced axes shortened."""
+"""Resolved specs, in which all defaults are filled in, as JSON, and the digest that identifies a spec.
+
+For the digest axes are lists of values; in a store evenly spaced axes are shortened.
+"""
 
 import hashlib
 import json
@@ -14,11 +17,11 @@ from workers.model.system import identity
 FIRST_SETTINGS = (
     "exponents", "tolerance", "max_periods", "method", "transient_periods", "periods", "max_period", "section_samples",
 )  # fmt: skip
-"""Settings of the first version, which enter every digest. Settings added since do not belong here."""
+"""Settings of the package's first version, which enter every digest. Settings added since do not belong here."""
 
 
 def pack_axes(resolved: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a resolved spec in the form of a store.
+    """Return a resolved spec with evenly spaced axes shortened, the form in which a store has it.
 
     An axis whose values ``start + k (stop - start) / (num - 1)`` gives to the bit has these three numbers in place of
     the values.
@@ -27,7 +30,7 @@ def pack_axes(resolved: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def unpack_axes(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the resolved spec of its form in a store, the inverse of ``pack_axes``."""
+    """Return a resolved spec with all values of its axes, from the form in a store; the inverse of ``pack_axes``."""
     return {**stored, "axes": [_unpacked(axis) for axis in stored["axes"]]}
 
 
@@ -46,18 +49,21 @@ def _unpacked(axis: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _evenly_spaced(start: float, stop: float, num: int) -> list[float]:
-    """Return evenly spaced values, by operations that are rounded in the same way on every host."""
+    """Return ``num`` evenly spaced values from start to stop, by operations that round in the same way on every
+    host.
+    """
     values = np.arange(num, dtype=np.float64) * ((stop - start) / (num - 1)) + start
     values[-1] = stop
     return list(values.tolist())
 
 
 def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:
-    """Return the SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
+    """Return the SHA-256 of a resolved spec: all that affects the numbers of its atlas.
 
-    A packaged system enters by its name, and from its second version on also by its version. Another system enters by
-    its definition without texts. Settings added since the first version enter only if they differ from their defaults,
-    so that earlier specs keep their digests. ``table`` has the defaults.
+    Axes enter as an ordered list of names and exact values; the tile shape does not enter. A packaged system enters by
+    its name, and from its second version on also by its version. Another system enters by its definition without texts.
+    Settings added since the first version of the package enter only if they differ from their defaults, so that earlier
+    specs keep their digests. ``table`` has the defaults.
     """
     axes = [
         [axis["name"], axis["values"]] + ([axis["continuation"]] if "continuation" in axis else [])
@@ -73,7 +79,7 @@ def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Setting
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a mapping as JSON.
+    """Return the SHA-256 of a mapping, written as JSON, as a hexadecimal text.
 
     Python writes floats as shortest exact decimals, so that equal text means equal bits.
     """

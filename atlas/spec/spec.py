@@ -1,4 +1,4 @@
-"""The spec of an atlas: everything that decides its numbers, checked once."""
+"""The spec of an atlas: everything that determines its numbers, checked when the spec is created."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -27,7 +27,7 @@ from workers.results import ATTRACTOR, Variable
 SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "store")
 MAX_AXES = 3
 FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "three whole numbers (1, y, x)"}
-"""Meaning of the shape of a tile, by the number of axes."""
+"""Valid form of the shape of a tile, as text for messages, by the number of axes."""
 SETTING_MEANINGS = {
     "exponents": "Which Lyapunov exponents.",
     "tolerance": "Standard error of the largest exponent at which a chaotic cell stops.",
@@ -41,7 +41,7 @@ SETTING_MEANINGS = {
     "observe": "Observables, separated by commas, such as impact_phase:stop.",
     "observe_values": "Number of values of each observable to store.",
 }
-"""The settings of a cell, each with a line of text."""
+"""Meaning of each setting by which a cell is solved, as a line of text."""
 Slices = tuple[slice, ...]
 
 
@@ -139,7 +139,7 @@ class Spec:
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, Any], folder: Path | None = None) -> "Spec":
-        """Return the spec of a mapping in the form of the TOML file.
+        """Return the spec of a mapping that has the tables of the TOML file.
 
         The path of a system's file is relative to ``folder``.
         """
@@ -192,14 +192,21 @@ class Spec:
 
     @property
     def continuation(self) -> tuple[int, bool] | None:
-        """Index in ``dims`` of the continued axis, and True if backward; None for independent cells."""
+        """The axis along which each cell starts from its neighbour's attractor: its index in ``dims``, and True if
+        backward.
+
+        None if all cells are independent.
+        """
         for dim, axis in enumerate(reversed(self.axes)):
             if axis.continuation:
                 return dim, axis.continuation == "backward"
         return None
 
     def to_resolved(self) -> dict[str, Any]:
-        """Return the spec as plain JSON, the source of its digest; ``from_resolved`` builds an equal spec from it."""
+        """Return the spec with all defaults filled in, as a dict for JSON.
+
+        Its digest identifies the spec. ``from_resolved`` builds an equal spec from it.
+        """
         points = {"points": {name: list(values) for name, values in self.points.items()}} if self.points else {}
         many = {} if self.attractors is None else {"attractors": attractors_to_json(self.attractors)}
         return (
@@ -212,7 +219,7 @@ class Spec:
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
-        """Return the spec of a resolved spec; the inverse of ``to_resolved``, except for the tile shape."""
+        """Build a spec from the result of ``to_resolved``; the shape of the tiles is not part of it."""
         axes = {
             axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
             for axis in resolved["axes"]
@@ -223,11 +230,11 @@ class Spec:
 
     @property
     def values(self) -> Columns:
-        """Values of the axes, or of the columns of the points, by name."""
+        """Values of the axes by name, or of the columns of the table of points."""
         return self.points or {axis.name: axis.values for axis in self.axes}
 
     def check_stored_form(self) -> None:
-        """Raise InputError unless an equal spec can be read from its JSON in a store."""
+        """Raise InputError unless the JSON of the spec in a store can be read back as an equal spec."""
         stored_form = json.loads(json.dumps(self.to_resolved()))
         try:
             again = Spec.from_resolved(stored_form).to_resolved()
@@ -256,12 +263,12 @@ class Spec:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The results of each cell, ``regime`` last."""
+        """The variables with the results of each cell, ``regime`` last."""
         return self.system_def.variables(self.settings, attractors=self.coexistence, basins=self.basins)
 
     @property
     def extra_sizes(self) -> dict[str, int]:
-        """Lengths of the dimensions that a variable may have after the axes."""
+        """Lengths by name of the dimensions that results of a cell may have after the axes, such as its attractors."""
         attractor_sizes = {ATTRACTOR: self.attractors.keep} if self.attractors is not None and self.coexistence else {}
         sample_sizes = {"sample": self.settings.section_samples, VALUE: self.settings.observe_values}
         return (
@@ -271,7 +278,7 @@ class Spec:
         )
 
     def with_observables(self, observe: str) -> "Spec":
-        """Return the same spec with these observables, see ``workers.Settings``."""
+        """Return the same spec with the observables, separated by commas in ``observe``; see ``workers.Settings``."""
         other = copy(self)
         settings = replace(self.settings, observe=observe)
         object.__setattr__(other, "settings", observable_settings(settings, self.system_def))
@@ -301,11 +308,11 @@ class Spec:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything that decides the numbers, see ``resolved_digest``."""
+        """SHA-256 of everything that determines the numbers of the atlas, see ``resolved_digest``."""
         return resolved_digest(self.to_resolved())
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
-        """Return the parameters of a block of cells for solve_tile.
+        """Return the values of all parameters in a block of cells, by name, as ``solve_tile`` takes them.
 
         Values of axes are arrays that broadcast to the shape of the block.
         """
@@ -321,7 +328,10 @@ class Spec:
 
 
 def given_values(mapping: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values by name, from a mapping, keywords or both, as in xarray's ``sel``."""
+    """Merge values by name that a caller gave as a mapping, as keywords or both, as in xarray's ``sel``.
+
+    Raise InputError for a name that is given twice.
+    """
     if mapping is not None and not isinstance(mapping, Mapping):
         raise InputError(f"found {brief_repr(mapping)}, must be values by name, such as omega=3 or {{'omega': 3}}")
     for name in named:
@@ -331,7 +341,7 @@ def given_values(mapping: Mapping[str, Any] | None, named: Mapping[str, Any]) ->
 
 
 def given_settings(settings: Settings | None) -> Settings:
-    """Return the settings of a call; the defaults for None."""
+    """Return the settings that a caller gave; the default settings for None."""
     return Settings() if settings is None else validate_type("settings", settings, Settings, "atlas.Settings(...)")
 
 
@@ -344,13 +354,16 @@ def check_parameters(system: System, names: Iterable[object], kind: str = "param
 
 
 def validate_parameters(system: System, values: Mapping[str, Any]) -> dict[str, float]:
-    """Return all parameters of a system: given values checked against their ranges, others at their defaults."""
+    """Return all parameters of a system by name: the given values, and the defaults of the others.
+
+    Raise InputError for a name that is no parameter, and for a value outside the parameter's range.
+    """
     check_parameters(system, values)
     return {p.name: validate_in_range(p, values[p.name]) if p.name in values else p.default for p in system.parameters}
 
 
 def parse_settings(table: Mapping[str, Any]) -> Settings:
-    """Return the settings of a [solve] table; raise InputError, naming the setting, for a wrong table."""
+    """Convert a [solve] table to settings; raise InputError, naming the setting, for a wrong table."""
     if not isinstance(table, Mapping):
         raise InputError(f"solve: found {brief_repr(table)}, must be a table")
     check_names("key in solve", table, [field.name for field in fields(Settings)])
@@ -368,7 +381,7 @@ def parse_settings(table: Mapping[str, Any]) -> Settings:
 
 
 def observable_settings(settings: Settings, system: System) -> Settings:
-    """Return these settings; raise InputError for an observable that the system does not have."""
+    """Return the settings unchanged; raise InputError if they name an observable that the system does not have."""
     try:
         system.observables(settings)
     except ValueError as error:
@@ -377,7 +390,7 @@ def observable_settings(settings: Settings, system: System) -> Settings:
 
 
 def _with_points(tables: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:
-    """Return a spec's tables with a file of points in place of its axes.
+    """Return the tables of a spec with the parameter sets of a CSV file, ``points``, in place of its axes.
 
     Raise InputError unless each axis is a column of the file.
     """

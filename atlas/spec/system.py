@@ -1,4 +1,4 @@
-"""The system of a spec, of a store, or of a command: by name, by file, or in full."""
+"""Find the system, the definition of a machine, that a spec, a store or a command names or describes."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -13,7 +13,7 @@ from workers.model.system import System, find_system
 
 
 def parse_system(system: object, folder: Path | None = None) -> System:
-    """Return the system of a name, a .toml file or a table; a System is returned unchanged.
+    """Return the system that is given by its name, the path of a .toml file or a table; a System is returned unchanged.
 
     The path of a file is relative to ``folder``, if given. A packaged example that describes its own system may be
     named, too. Raise InputError for an unknown name, with the nearest known one, and for a wrong definition.
@@ -43,7 +43,7 @@ def resolved_system(resolved: Mapping[str, Any]) -> System:
 
 
 def stored_spec(attributes: Mapping[Any, Any]) -> Mapping[str, Any]:
-    """Return the resolved spec of the store with these root attributes; empty if they have none."""
+    """Return the resolved spec of the store with these root attributes; empty if they contain no spec."""
     return _of_text(str(attributes.get("spec", "")))[0]
 
 
@@ -65,14 +65,14 @@ def stored_system(attributes: Mapping[Any, Any]) -> System | None:
 
 
 def stored_name(attributes: Mapping[Any, Any]) -> str:
-    """Return the name that a store has for its system, known or not; empty if it has none."""
+    """Return the name that a store's root attributes give its system, known or not; empty if they give none."""
     system = stored_spec(attributes).get("system", "")
     return str(system.get("name", "") if isinstance(system, Mapping) else system)
 
 
 @lru_cache(maxsize=16)
 def _of_text(text: str) -> tuple[Mapping[str, Any], System | InputError]:
-    """Return the spec in a text, and its system or the error for it.
+    """Return the spec in a JSON text, and its system, or the error if this program cannot build the system.
 
     The result is cached, since a picture needs the system at every label.
     """
@@ -105,21 +105,21 @@ def impacts_of(system: System, cell: Mapping[str, Any]) -> str:
 
 
 def unused_lines(system: System) -> list[str]:
-    """Return a line about parameters without effect; empty if all are used."""
+    """Return a list with a line of text about the system's parameters that have no effect; empty if all have one."""
     return [f"no entry of {system.name} uses {', '.join(system.unused_parameters)}"] if system.unused_parameters else []
 
 
 def must_offer(system: System, what: str, unforced: bool = False) -> None:
-    """Raise InputError, in one line, if ``what`` does not exist for this system.
+    """Raise InputError, in one line, if the function ``what``, such as "branches", does not work for this system.
 
-    It does not exist if a coordinate drifts, and, unless ``unforced``, without a force.
+    It does not work if a coordinate drifts, nor without a force unless ``unforced``.
     """
     with _as_input_error():
         system.must_offer(what, unforced)
 
 
 def must_have_force(system: System, what: str) -> None:
-    """Raise InputError, in one line, that ``what`` does not exist for a system without a force."""
+    """Raise InputError, in one line, if the system has no force, which the function ``what`` needs."""
     with _as_input_error():
         system.must_have_force(what)
 

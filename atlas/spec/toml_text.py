@@ -12,7 +12,7 @@ from workers import Settings
 
 
 def spec_toml(spec: Spec) -> str:
-    """Return the text of the file of a spec, without defaults. ``Spec.from_toml`` reads it."""
+    """Return the text of a TOML file for a spec, without defaults. ``Spec.from_toml`` reads it."""
     system, settings = spec.system_def, spec.settings
     defaults = {parameter.name: parameter.default for parameter in system.parameters}
     tables = {
@@ -28,7 +28,9 @@ def spec_toml(spec: Spec) -> str:
 
 
 def _axis_table(axis: Axis) -> dict[str, Any]:
-    """Return an axis by its ends if it is evenly spaced on its scale, else by its values."""
+    """Return an axis as a TOML table: with start, stop and num if it is evenly spaced on its scale, else with its
+    values.
+    """
     ends = {"start": axis.start, "stop": axis.stop, "num": len(axis)}
     table = ends if spaced_values(axis.name, ends, axis.scale) == axis.values else {"values": list(axis.values)}
     axis_options = {"scale": axis.scale, "continuation": axis.continuation}

@@ -1,4 +1,4 @@
-"""Access to a store at a URL, if a user gives more options than the environment has.
+"""Access options for a store at a URL, given by a user in addition to those in environment variables.
 
 Options are ``storage_options``, in the words of obstore or of fsspec, or an obstore store. A backend keeps the options
 as values, which can be sent to workers, and creates its own clients from the values. A client tries each request once.
@@ -27,20 +27,22 @@ _HERE = (
     "google_base_url",
     "base_url",
 )
-"""Names of an endpoint: in the environment (``_ENDPOINTS``), and in the options of users (``_HERE``)."""
+"""Names of the setting with a server's address: ``_ENDPOINTS`` in the environment, ``_HERE`` in the options of users.
+"""
 SYNONYMS = {"anon": "skip_signature", "anonymous": "skip_signature"}
-"""Names of options of fsspec's file systems, with the names that obstore uses."""
+"""Options as fsspec's file systems name them, with the names that obstore uses."""
 S3_SYNONYMS = SYNONYMS | {"key": "access_key_id", "secret": "secret_access_key", "token": "session_token"}
 _CLIENT, _PROVIDER = "client_options", "credential_provider"
 _URLS = {"S3Store": "s3://{bucket}", "GCSStore": "gs://{bucket}", "AzureStore": "az://{container_name}"}
-"""URL of the bucket of an obstore store, by class; the braces name entries of the store's configuration."""
+"""URL of the bucket of an obstore store, by the store's class; the braces name entries of its configuration."""
 
 Pairs = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
 class StorageAccess:
-    """Access options beyond the environment; they may contain secrets, so they are never printed.
+    """Options of access to a server, in addition to the environment; they may contain secrets, so they are never
+    printed.
 
     config     settings of the store, by obstore's names
     client     settings of its HTTP client
@@ -52,7 +54,9 @@ class StorageAccess:
     provider: Any = field(default=None, repr=False)
 
     def open_client(self, url: str, settings: Mapping[str, str]) -> "ObjectStore":
-        """Return a client of a URL, with these settings of the environment; the client tries each request once."""
+        """Return an obstore client of a URL. ``settings`` are environment variables; the client tries each request
+        once.
+        """
         from obstore.store import from_url
 
         config, options = dict(self.config), _thawed(self.client)
@@ -66,7 +70,7 @@ class StorageAccess:
 
 
 BY_ENVIRONMENT = StorageAccess()
-"""Access by the environment alone."""
+"""Access by the settings of the environment alone."""
 
 
 def access_by(options: Mapping[str, Any], url: str) -> StorageAccess:
@@ -95,7 +99,8 @@ def access_by(options: Mapping[str, Any], url: str) -> StorageAccess:
 
 
 def signed_in(url: str, access: StorageAccess) -> tuple[str, StorageAccess]:
-    """Return a URL without user and password, and the access with both as an HTTP header.
+    """Move user and password from a URL into an HTTP header; return the URL without them, and the access with the
+    header.
 
     Browsers and curl send user and password to web servers in this way. Raise InputError if the URL of a bucket has a
     user or a password, since no client reads them there.
@@ -151,7 +156,7 @@ def local_folder(store: Any) -> Path | None:
 
 
 def _frozen(settings: Mapping[str, Any]) -> Pairs:
-    """Return settings, nested ones too, as pairs (name, value) sorted by name, which can be hashed and compared."""
+    """Convert settings, nested ones too, to pairs (name, value) sorted by name, which can be hashed and compared."""
     pairs = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in settings.items())
     return tuple(sorted(pairs, key=lambda pair: pair[0]))
 

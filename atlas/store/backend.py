@@ -1,4 +1,6 @@
-"""The interface of storage backends to whole objects of a store, and the backend of local folders."""
+"""The interface to the storage behind a store, which reads and writes whole objects, and its version for local
+folders.
+"""
 
 import errno
 import os
@@ -13,7 +15,7 @@ from typing import Self
 from atlas.platform import flush, move_whole, temporary_beside
 
 _ABSENT = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
-"""Exceptions of operating systems for a missing object."""
+"""Exceptions by which the operating system says that an object does not exist."""
 Confirmation = Callable[[], None]
 """A function that raises an error unless the run of this process still leases the store."""
 
@@ -21,9 +23,9 @@ Confirmation = Callable[[], None]
 class StoreBackend:
     """Base class of the storage behind a store: objects by keys such as ``regime/c/0/1``.
 
-    ``commit`` confirms the lease of the run, so that a process that has lost its lease finishes nothing more. The
-    methods of this class are those of a read-only backend. Network errors are OSErrors. ``str`` is the name of the
-    backend.
+    ``commit`` first confirms that the run of this process still leases the store, so that a process that has lost its
+    lease finishes nothing more. The methods of this class are those of a read-only backend. Network errors are
+    OSErrors. ``str`` is the name of the backend.
     """
 
     confirmation: Confirmation | None = None
@@ -31,7 +33,7 @@ class StoreBackend:
     """The kind of backend, for messages, if it is read-only; else empty."""
 
     def with_lease(self, confirmation: Confirmation | None) -> Self:
-        """Return the same backend with this confirmation of a lease; None for a backend that needs no lease."""
+        """Return the same backend with a function that confirms the lease of the store; None if no lease is needed."""
         leased = copy(self)
         object.__setattr__(leased, "confirmation", confirmation)  # no field: two views of one backend are equal
         return leased
@@ -46,7 +48,7 @@ class StoreBackend:
 
     @property
     def local(self) -> Path | None:
-        """The local folder; None if the backend is not a folder of this host."""
+        """The folder of the store on this host; None for any other storage."""
         return None
 
     def get(self, key: str, part: slice | None = None) -> bytes | None:
@@ -69,7 +71,7 @@ class StoreBackend:
         return self.version(key) is not None
 
     def whole_keys(self, keys: Iterable[str]) -> Iterator[str]:
-        """Yield the keys whose objects are not empty: a crash of the system may leave empty files."""
+        """Yield those of the keys whose objects are not empty: a crash of the system may leave empty files."""
         yield from keys
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
@@ -81,7 +83,9 @@ class StoreBackend:
         raise self._read_only()
 
     def commit(self, key: str, data: bytes) -> None:
-        """Write an object that finishes others, such as the regime of a tile, once the lease is confirmed."""
+        """Write an object that marks others as finished, such as the regime of a tile, once the lease of the store is
+        confirmed.
+        """
         self.confirm_lease()
         self.put(key, data)
 
@@ -165,7 +169,7 @@ class LocalBackend(StoreBackend):
             move_whole(written, self.path / key)
 
     def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
-        """See ``StoreBackend``. On one file system objects are linked: objects are replaced, never changed."""
+        """Copy objects as in ``StoreBackend``, by links on one file system: objects are replaced, never changed."""
         rest = []
         for key in keys:
             try:
@@ -211,7 +215,8 @@ class LocalBackend(StoreBackend):
 
     @contextmanager
     def _written(self, key: str, make: Callable[[Path], object]) -> Iterator[Path]:
-        """Yield the path of a temporary file that ``make`` has written in the folder of an object.
+        """Yield the path of a temporary file that ``make`` has written, in the folder where the object of this key
+        belongs.
 
         The file is removed unless the block moves it.
         """

@@ -1,4 +1,4 @@
-"""Creation of a store, whole or not at all, and the check whether a run may create or resume a store."""
+"""Create a store, whole or not at all, and check whether a run may create or resume a store."""
 
 import errno
 import glob
@@ -67,7 +67,9 @@ def check_run(backend: StoreBackend, spec: Spec, handle: AtlasStore | None, orig
 
 
 def _refuse_foreign(backend: StoreBackend, spec: Spec) -> None:
-    """Raise InputError if a URL has objects that no interrupted creation has left there, such as finished tiles."""
+    """Raise InputError if a URL has objects, such as finished tiles, that cannot be left over from an interrupted
+    creation.
+    """
     ours = {key.partition("/")[0] for key in layout(root_attributes(spec, spec.shape, None), spec)}
     for key in backend.list_keys():
         if key.startswith(f"{REGIME.name}/c/"):
@@ -82,7 +84,7 @@ def create_store(
     tile: tuple[int, ...],
     origin: Origin | None = None,
 ) -> AtlasStore:
-    """Create a store without results, see ``make_store``, and return its handle.
+    """Create a store without results, whole or not at all, and return its handle.
 
     store    path, URL or backend of the store
     spec     spec of the atlas
@@ -96,7 +98,7 @@ def create_store(
 
 
 def make_store(backend: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Create a store without results; the store appears at once or not at all.
+    """Write the metadata and coordinates of a new store; the store appears at once or not at all.
 
     On a disk its folder is renamed. At a URL the metadata of the root are written after all other objects, and only if
     none exist.
@@ -133,12 +135,14 @@ def refuse_equal_names(path: Path, spec: Spec) -> None:
 
 
 def _names(spec: Spec) -> set[str]:
-    """Return the names of the arrays of cells and of their coordinates."""
+    """Return the names of all arrays of a store's cells and of their coordinates."""
     return {*coordinate_names(spec)} | {variable.name for variable in spec.variables}
 
 
 def _check_writable(backend: StoreBackend) -> None:
-    """Try to write, since permission bits are not reliable; on a disk, in the nearest existing folder."""
+    """Write and remove a test object or folder, since permission bits are not reliable; on a disk, in the nearest
+    existing folder.
+    """
     if backend.local is None:
         trial = f"{TRIAL}{uuid.uuid4().hex}"
         backend.put(trial, b"")

@@ -1,7 +1,7 @@
 """Groups of arrays beside the results of a store, such as curves and tables; each group is written whole.
 
-The metadata of a group are sealed and written after its arrays, whose metadata they repeat, with a digest of all
-values. A kill at any moment therefore leaves the group whole or absent.
+The metadata of a group are written after its arrays, with a checksum. They repeat the arrays' metadata and have a
+digest of all values. A kill at any moment therefore leaves the group whole or absent.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ from atlas.store.tiles import encode_chunks
 from workers.results import Variable
 
 ARRAYS, CONTENT = "arrays", "content"
-"""Attributes of a group: the names of its arrays, and the digest of their metadata and values."""
+"""Names of two attributes of a group: the list of its arrays, and the digest of their metadata and values."""
 
 
 def check_table_size(handle: AtlasStore, variables: Iterable[Variable]) -> None:
@@ -46,7 +46,7 @@ def check_table_size(handle: AtlasStore, variables: Iterable[Variable]) -> None:
 def write_group(
     handle: AtlasStore, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]
 ) -> None:
-    """Write a group, replacing an existing one."""
+    """Write a group of arrays with attributes into a store, replacing an existing group of that name."""
     backend = handle.backend
     backend.confirm_lease()
     drop_group(handle, group)
@@ -70,14 +70,19 @@ def write_group(
 def write_table(
     handle: AtlasStore, table: str, columns: Mapping[str, StoredArray], attributes: Mapping[str, Any]
 ) -> None:
-    """Write a table for xarray, with the coordinates of its dimensions, replacing an existing one."""
+    """Write columns and the coordinates of their dimensions as a group, which xarray opens as a dataset.
+
+    An existing table of that name is replaced.
+    """
     dims = {dim for column in columns.values() for dim in column.dims}
     known = {name: array for name, array in coordinates(handle.spec).items() if name in dims and array.dims == (name,)}
     write_group(handle, table, known | dict(columns), {**attributes, "digest": handle.digest})
 
 
 def drop_group(handle: AtlasStore, group: str) -> None:
-    """Make a group count as absent, by removing its metadata, after their copies in the root."""
+    """Make a group count as absent, by removing first the copy of its metadata in the root, then the metadata
+    themselves.
+    """
     if handle.backend.exists(f"{group}/{ROOT}"):
         write_root(handle, without=group)
         handle.backend.remove(f"{group}/{ROOT}")
@@ -90,9 +95,10 @@ def group_attributes(handle: AtlasStore, group: str) -> dict[str, Any] | None:
 
 
 def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """Return the arrays of a group by name, and its attributes; None if it does not exist.
+    """Return the arrays of a group by name, and the group's attributes; None if the group does not exist.
 
-    Raise ChunkError, which names the missing or damaged objects, if the arrays were not written together.
+    Raise ChunkError, which names the missing or damaged objects, unless arrays and attributes agree with the group's
+    digest.
     """
     data = handle.backend.get(f"{group}/{ROOT}")
     return None if data is None else _find_group(handle, group, data)[:2]
@@ -101,7 +107,8 @@ def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]],
 def group_layout(handle: AtlasStore, group: str, data: bytes) -> dict[str, bytes]:
     """Return the metadata that a group and its arrays must have, as bytes by key.
 
-    They follow from ``data``, the stored metadata of the group. Raise errors like ``read_group``.
+    They follow from ``data``, the stored metadata of the group. Raise ChunkError if the group is damaged, like
+    ``read_group``.
     """
     _, attributes, nodes = _find_group(handle, group, data)
     arrays = {f"{group}/{name}/{ROOT}": encode_node(node) for name, node in nodes.items()}
@@ -111,10 +118,10 @@ def group_layout(handle: AtlasStore, group: str, data: bytes) -> dict[str, bytes
 def _find_group(
     handle: AtlasStore, group: str, data: bytes
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any], dict[str, Node]]:
-    """Return the arrays, the attributes, and the metadata of the arrays of a group with these metadata.
+    """Return the arrays and the attributes of a group, and the metadata of its arrays.
 
-    The metadata of the arrays stand in those of the group and once more with each array: the digest tells which of the
-    two are right.
+    ``data`` are the stored metadata of the group. The metadata of an array are stored twice, with the group and with
+    the array: the group's digest tells which copy is right. Raise ChunkError if neither is.
     """
     attributes = _attributes_in(handle, group, data)
     faults: dict[str, str] = {}
@@ -146,7 +153,10 @@ def _own_nodes(handle: AtlasStore, group: str, names: Iterable[str]) -> dict[str
 
 
 def _read(handle: AtlasStore, path: str, node: Node | None) -> NDArray[Any] | dict[str, str]:
-    """Return the values of an array of one chunk; if the chunk is missing or damaged, a dict of its fault by key."""
+    """Return the values of an array that is stored in one chunk.
+
+    If the chunk is missing or damaged, return a dict with its key and a description of the fault.
+    """
     key = f"{path}/{ROOT}"
     if node is None:
         return {key: "is missing"}
@@ -163,7 +173,7 @@ def _read(handle: AtlasStore, path: str, node: Node | None) -> NDArray[Any] | di
 
 
 def _content(nodes: Mapping[str, Node], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the digest of the metadata and the values of arrays."""
+    """Return the digest of the metadata and the values of a group's arrays."""
     digest = hashlib.sha256(json.dumps(nodes, sort_keys=True).encode())
     for name in sorted(arrays):
         digest.update(encode_whole(np.asarray(arrays[name])))

@@ -1,4 +1,4 @@
-"""The description of a host that solves cells: processor, instructions, versions of packages."""
+"""The description of a host that solves cells: processor, instructions, versions of packages. They affect last bits."""
 
 import hashlib
 import json
@@ -15,14 +15,17 @@ HOSTS = "hosts"
 """Name of the group of the hosts that solved tiles of a store; each host is an empty group with attributes."""
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
-"""Environment variables that make Numba compile for another processor than that of this host."""
+"""Names of environment variables that make Numba compile for another processor than that of this host."""
 BIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
-"""Environment variables that change the last bits of results."""
+"""Names of environment variables that change the last bits of results."""
 
 
 @dataclass(frozen=True)
 class HostInfo:
-    """A kind of host: its facts, and a name derived from the facts. Hosts of one name give a cell the same bits."""
+    """A kind of host: facts about its processor and packages, and a name derived from the facts.
+
+    Hosts of one name give a cell the same bits.
+    """
 
     name: str
     facts: Mapping[str, str] = field(compare=False)
@@ -33,7 +36,7 @@ class HostInfo:
 
 
 def host_from_facts(facts: Mapping[str, str]) -> HostInfo:
-    """Return the host with these facts."""
+    """Return the host with these facts, under the name derived from them."""
     return HostInfo(hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16], facts)
 
 
@@ -42,7 +45,9 @@ UNKNOWN = host_from_facts({"processor": "unknown: its record was damaged"})
 
 @lru_cache(maxsize=1)
 def current_host() -> HostInfo:
-    """Return the host of this process: processor, instructions for which kernels are compiled, versions."""
+    """Return the description of this host: processor, instructions for which kernels are compiled, versions of
+    packages.
+    """
     from llvmlite import binding
 
     facts = {
@@ -62,7 +67,7 @@ def current_host() -> HostInfo:
 
 
 def compiled_for() -> str:
-    """Return the kind of processor for which kernels are compiled, as part of a file name."""
+    """Return a name of the processor and the instructions for which kernels are compiled, for use in a file name."""
     from llvmlite import binding
 
     name, settings = binding.get_host_cpu_name(), _settings(CPU_VARIABLES)

@@ -1,4 +1,6 @@
-"""Records of the hosts that solved tiles of a store; a record is an empty group named by a digest of its facts."""
+"""Records of the hosts that solved tiles of a store; a record is an empty group named by a digest of facts about a
+host.
+"""
 
 import json
 from functools import lru_cache
@@ -31,16 +33,16 @@ def host_keys(handle: AtlasStore) -> list[str]:
 
 
 def read_host(backend: StoreBackend, key: str) -> HostInfo | None:
-    """Return the host of a record; None if the record is damaged."""
+    """Return the host that a record describes; None if the record is missing or damaged."""
     data = backend.get(key)
     machine = _host_in(data, key)
     return machine if machine is not None and _record(machine) == data else None
 
 
 def mend_record(handle: AtlasStore, key: str) -> bool:
-    """Restore a damaged record from its facts and return True.
+    """Restore a damaged record of a host from its own facts, and return True.
 
-    If the facts are damaged, replace the record by that of the unknown host and return False.
+    If the facts themselves are damaged, replace the record by that of the unknown host and return False.
     """
     if (machine := _host_in(handle.backend.get(key), key)) is not None:
         handle.backend.put(key, _record(machine))
@@ -55,7 +57,11 @@ def _record(machine: HostInfo) -> bytes:
 
 
 def _host_in(data: bytes | None, key: str) -> HostInfo | None:
-    """Return the host with the facts of a record; None unless the facts give the name in the key."""
+    """Return the host that a record describes.
+
+    ``data`` are the bytes of the record. None if they are damaged, or if the name that follows from the facts is not
+    that in ``key``.
+    """
     try:
         machine = host_from_facts(json.loads(data or b"")["attributes"])
     except (ValueError, KeyError, TypeError, RecursionError):

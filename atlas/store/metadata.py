@@ -1,4 +1,4 @@
-"""The metadata of Zarr arrays and groups as plain JSON, and the seal of a group's attributes.
+"""The metadata of Zarr arrays and groups as JSON, and the checksum that protects a group's attributes.
 
 All metadata of a store are written here, byte for byte, so that a verification compares bytes. They do not depend on
 the installed version of Zarr.
@@ -16,34 +16,36 @@ from numpy.typing import NDArray
 from atlas.errors import brief_repr, message_of
 
 ROOT = "zarr.json"
-"""Name of the object with the metadata of an array or a group. A store exists once its root has this object."""
+"""Name of the object with the metadata of a group or an array. A store exists once its root group has this object."""
 CHECKSUM = "checksum"
-"""Attribute with the checksum of all other attributes of a group."""
+"""Name of the attribute of a group with the checksum of all its other attributes."""
 CRC32C = {"name": "crc32c"}
 COMPRESSED = ({"name": "zstd", "configuration": {"level": 0, "checksum": False}}, CRC32C)
-"""Codecs of every chunk after its encoding as bytes: the checksum finds a chunk that a disk has damaged."""
+"""Codecs of every chunk after its encoding as bytes: compression, and a checksum that reveals damage by a disk."""
 _CONSOLIDATED = "consolidated_metadata"
 
 Node = Mapping[str, Any]
-"""The metadata of one array or group, without consolidated metadata."""
+"""The Zarr metadata of one array or group, without copies of other metadata."""
 
 
 def seal(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes as they will be read back from JSON, with a checksum of them as one more attribute."""
+    """Return attributes with a checksum of them as one more attribute. They are as they will be read back from JSON."""
     plain = json.loads(json.dumps(dict(attributes)))
     return {**plain, CHECKSUM: _checksum(plain)}
 
 
 def sealed(attributes: Mapping[str, Any], members: Mapping[str, Node] | None = None) -> bytes:
-    """Return the metadata of a group with sealed attributes; ``unsealed`` finds every later change of them.
+    """Return the metadata of a group as bytes, with a checksum by which ``unsealed`` finds later changes of the
+    attributes.
 
-    ``members`` are the metadata of its arrays and groups by path, which are consolidated; None to consolidate none.
+    ``members`` are the metadata of the group's arrays and groups by path, of which copies are included; None for no
+    copies.
     """
     return encode_node(group_node(seal(attributes)), members)
 
 
 def unsealed(data: bytes | None) -> dict[str, Any] | None:
-    """Return the attributes of a group's metadata without their checksum; None unless the checksum is right."""
+    """Return the attributes in a group's metadata without their checksum; None if the checksum is missing or wrong."""
     try:
         attributes = dict(json.loads(data or b"")["attributes"])
         checksum = attributes.pop(CHECKSUM)
@@ -53,7 +55,7 @@ def unsealed(data: bytes | None) -> dict[str, Any] | None:
 
 
 def members_of(data: bytes | None) -> dict[str, Any]:
-    """Return the consolidated metadata in the metadata of a group, by path; empty if they cannot be read."""
+    """Return the copies of other metadata in the metadata of a group, by path; empty if they cannot be read."""
     try:
         return dict(json.loads(data or b"")[_CONSOLIDATED]["metadata"])
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -61,7 +63,7 @@ def members_of(data: bytes | None) -> dict[str, Any]:
 
 
 def group_node(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the metadata of a group."""
+    """Return the Zarr metadata of a group with these attributes."""
     return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes)}
 
 
@@ -77,7 +79,7 @@ def array_node(
     codecs: Iterable[Node] = COMPRESSED,
     separator: str = "/",
 ) -> dict[str, Any]:
-    """Return the metadata of an array.
+    """Return the Zarr metadata of an array.
 
     shape       number of values along each dimension
     dtype       name of the type; "string" for texts
@@ -107,7 +109,7 @@ def array_node(
 
 
 def encode_node(node: Node, members: Mapping[str, Node] | None = None) -> bytes:
-    """Return metadata as the bytes of their object, with the ``members`` of a group as consolidated metadata."""
+    """Return the Zarr metadata of an array or group as bytes, with copies of the metadata ``members`` of a group."""
     if members is None:
         return json.dumps(node).encode()
     nodes = {path: _member(members[path]) for path in sorted(members, key=lambda path: (path.count("/"), path))}
@@ -115,7 +117,9 @@ def encode_node(node: Node, members: Mapping[str, Node] | None = None) -> bytes:
 
 
 def encode_whole(values: NDArray[Any]) -> bytes:
-    """Return an array as its single chunk, not compressed: the same bytes by every version of every library."""
+    """Return an array as the bytes of a single chunk, not compressed, so that every version of every library gives the
+    same.
+    """
     if values.dtype.kind in "TO":
         texts = [str(text).encode() for text in values.ravel()]
         data = b"".join(len(text).to_bytes(4, "little") + text for text in texts)
@@ -126,7 +130,7 @@ def encode_whole(values: NDArray[Any]) -> bytes:
 
 
 def describe_difference(stored: bytes | None, right: bytes) -> str:
-    """Return the first difference of stored metadata, or of a stored chunk, from the right bytes, as text."""
+    """Return a text about the first difference of stored metadata, or of a stored chunk, from the right bytes."""
     if stored is None:
         return "is missing"
     if not right.startswith(b"{"):

@@ -1,4 +1,4 @@
-"""The backend of a store by its path or URL, and the backend of object stores.
+"""The backend of object stores, and the function that opens the right backend for a path or URL.
 
 obstore is the client of all servers. Disks have a backend of their own, see ``LocalBackend``. An object store has
 conditional writes in place of renames.
@@ -36,9 +36,9 @@ else:
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
 """Schemes of URLs of stores that obstore supports, besides ``file``."""
 _SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
-"""Prefixes of the environment variables that configure a client."""
+"""Prefixes of the environment variables that configure the client of a server."""
 AT_ONCE = 64
-"""Number of simultaneous requests to a server, which answers all of them as soon as one."""
+"""Number of simultaneous requests to a server, which answers all of them in the time of one."""
 _T = TypeVar("_T")
 
 
@@ -80,7 +80,7 @@ def open_backend(
 
 
 def _checked(backend: "ObjectBackend") -> "ObjectBackend":
-    """Return the backend; raise InputError if no client can be created for it."""
+    """Return the backend unchanged. Raise InputError if no obstore client can be created for it."""
     try:
         _ = backend.client
     except ImportError as error:
@@ -91,7 +91,7 @@ def _checked(backend: "ObjectBackend") -> "ObjectBackend":
 
 
 def _place_of_object(store: Any, patience: float) -> StoreBackend:
-    """Return the backend of an obstore store."""
+    """Return the backend of an obstore store object, with ``patience`` in seconds."""
     folder = local_folder(store)
     if folder is not None:
         return _place_at(folder)
@@ -103,9 +103,9 @@ def _place_of_object(store: Any, patience: float) -> StoreBackend:
 
 
 def sibling_name(backend: StoreBackend, other: StoreBackend) -> str:
-    """Return the name by which ``sibling_backend`` finds another store: its path from that of ``backend``, or its URL.
+    """Return the name under which one store records another: a path relative to ``backend``, or a URL.
 
-    Two folders that are moved together still find each other.
+    ``sibling_backend`` finds the other store by this name. Two folders that are moved together still find each other.
     """
     if is_url(str(other)) or is_url(str(backend)):
         return str(other)
@@ -114,9 +114,9 @@ def sibling_name(backend: StoreBackend, other: StoreBackend) -> str:
 
 
 def sibling_backend(backend: StoreBackend, store: str) -> StoreBackend:
-    """Return the backend of another store, with the access of ``backend`` if both are at URLs.
+    """Return the backend of another store by the name that ``sibling_name`` gives.
 
-    A relative path begins in the folder of ``backend``.
+    A relative path begins in the folder of ``backend``. At URLs, the access options of ``backend`` apply.
     """
     is_relative = not (is_url(store) or os.path.isabs(store) or is_url(str(backend)))
     other = open_backend(
@@ -128,7 +128,7 @@ def sibling_backend(backend: StoreBackend, store: str) -> StoreBackend:
 
 
 def picklable_backend(backend: StoreBackend) -> StoreBackend:
-    """Return the backend without the lease of this process, as it is sent to workers.
+    """Return a copy of the backend that can be sent to workers: without the lease of this process.
 
     Raise InputError if its credential provider cannot be sent.
     """
@@ -141,7 +141,7 @@ def picklable_backend(backend: StoreBackend) -> StoreBackend:
 
 
 def is_url(store: object) -> TypeGuard[str]:
-    """Return True if the name of a store is a URL. A scheme has at least two letters, since C: is a disk of Windows."""
+    """Return True if a store is given by a URL. A scheme has at least two letters, since C: is a disk of Windows."""
     return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 
@@ -153,7 +153,7 @@ def _place_at(path: Path) -> StoreBackend:
 
 
 def with_patience(backend: StoreBackend, patience: float) -> StoreBackend:
-    """Return the same backend with another patience, if it is at a URL."""
+    """Return the backend with another patience, the seconds to wait for a server; unchanged if it is not at a URL."""
     return (
         replace(backend, patience=patience).with_lease(backend.confirmation)
         if isinstance(backend, ObjectBackend)
@@ -163,15 +163,16 @@ def with_patience(backend: StoreBackend, patience: float) -> StoreBackend:
 
 @lru_cache(maxsize=16)
 def _client(url: str, access: StorageAccess, settings: tuple[tuple[str, str], ...], process: int) -> "ObjectStore":
-    """Return a client of a URL with these settings."""
+    """Return an obstore client of a URL. ``settings`` are environment variables; ``process`` tells processes apart."""
     return access.open_client(url, dict(settings))
 
 
 @dataclass(frozen=True)
 class ObjectBackend(StoreBackend):
-    """A prefix of an object store, by obstore, with credentials and endpoint of ``access``, else of the environment.
+    """A backend of an object store: all objects under a URL, by obstore.
 
-    Each call waits ``patience`` seconds for a server that does not respond, and then raises NetworkError.
+    Credentials and endpoint are those of ``access``, else of the environment. Each call waits ``patience`` seconds for
+    a server that does not respond, and then raises NetworkError.
     """
 
     url: str
@@ -214,7 +215,9 @@ class ObjectBackend(StoreBackend):
         self._persist(lambda: obstore.put(self.client, key, data))
 
     def commit(self, key: str, data: bytes) -> None:
-        """See ``StoreBackend``. The lease is confirmed at each attempt: an outage may precede."""
+        """Write as in ``StoreBackend``. The lease is confirmed at each attempt, since an outage may come between
+        them.
+        """
         import obstore
 
         def once() -> None:
@@ -228,7 +231,7 @@ class ObjectBackend(StoreBackend):
             list(pool.map(self.put, objects, objects.values()))
 
     def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
-        """See ``StoreBackend``. Within a bucket the server copies objects itself."""
+        """Copy objects as in ``StoreBackend``. Within a bucket the server copies objects itself."""
         bucket, mine, theirs = self._in_bucket_of(other)
         if bucket is None:
             return super().copy_all(other, keys)
@@ -242,9 +245,9 @@ class ObjectBackend(StoreBackend):
             list(pool.map(take, keys))
 
     def _in_bucket_of(self, other: StoreBackend) -> "tuple[ObjectStore | None, str, str]":
-        """Return a client of the bucket of both backends, and the prefixes of their keys.
+        """Return a client of the bucket that both backends share, and the prefixes of their keys in it.
 
-        The client is None without a common bucket.
+        The client is None if they do not share a bucket.
         """
         if not isinstance(other, ObjectBackend):
             return None, "", ""
@@ -257,7 +260,7 @@ class ObjectBackend(StoreBackend):
         return bucket, f"{ours.path.lstrip('/')}/", f"{others.path.lstrip('/')}/"
 
     def put_new(self, key: str, data: bytes) -> bool:
-        """See ``StoreBackend``. HTTP's If-None-Match: * lets one of two simultaneous requests succeed."""
+        """Write as in ``StoreBackend``. HTTP's If-None-Match: * lets one of two simultaneous requests succeed."""
         import obstore
         from obstore.exceptions import AlreadyExistsError, BaseError
 
@@ -320,7 +323,7 @@ class ObjectBackend(StoreBackend):
 
 
 def _range_of(part: slice) -> Any:
-    """Return a part of an object as obstore's range."""
+    """Convert a slice of an object's bytes to obstore's range."""
     if part.start < 0:
         return {"suffix": -part.start}
     return {"offset": part.start} if part.stop is None else (part.start, part.stop)
@@ -328,7 +331,10 @@ def _range_of(part: slice) -> Any:
 
 @contextmanager
 def os_errors_as_input_errors(backend: StoreBackend, what: str) -> Iterator[None]:
-    """Convert an OSError into an InputError with this cause; a server that does not respond remains a NetworkError."""
+    """Convert an OSError within the block into an InputError, of which it is the cause.
+
+    ``what`` says what the backend was to be, such as "written". A server that does not respond remains a NetworkError.
+    """
     try:
         yield
     except NetworkError:

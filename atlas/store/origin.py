@@ -1,4 +1,4 @@
-"""The origin of a store: the store whose cells it takes over, and the cells that are solved again."""
+"""The origin of a store: an older store whose cells it takes over, and a request for cells that are solved again."""
 
 import json
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ class BudgetVariable(Variable):
     setting: str = ""
 
     def from_spec(self, spec: Spec) -> int:
-        """Return the budget of a cell that was not retried."""
+        """Return the budget of a cell that was not retried: the setting of the spec."""
         return int(getattr(spec.settings, self.setting))
 
 
@@ -41,32 +41,38 @@ ALLOWANCES = (BUDGET, SURVIVAL)
 
 
 def budget_variables(spec: Spec) -> tuple[BudgetVariable, ...]:
-    """Return the variables of all budgets, with the settings of the spec as fill values."""
+    """Return the variables of both budgets, ``budget`` and ``survival``, with the settings of the spec as fill
+    values.
+    """
     return tuple(replace(allowance, fill=allowance.from_spec(spec)) for allowance in ALLOWANCES)
 
 
 @dataclass(frozen=True)
 class RetryRequest:
-    """A request to solve the cells of ``regimes``, by name, again, with the given settings that are not None."""
+    """A request to solve all cells of the named ``regimes`` again, with those other settings that are not None."""
 
     regimes: tuple[str, ...]
     max_periods: int | None = None
     survival: int | None = None
 
     def least_budget(self, allowance: BudgetVariable) -> int:
-        """Return the minimum of a budget for the selected cells; 0 if the retry does not raise it."""
+        """Return the budget, in forcing periods, that the retry gives to the selected cells; 0 if it does not raise
+        it.
+        """
         return int(getattr(self, allowance.setting) or 0)
 
     def selects(self, stored: Arrays) -> NDArray[np.bool_]:
-        """Return the mask of the cells to solve again."""
+        """Return the mask of the cells to solve again, from the stored results of cells."""
         return np.isin(stored[REGIME.name], [regime.code for regime in REGIMES if regime.name in self.regimes])
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The origin of a new store: name and run of the store whose cells it takes over, and the cells to solve again.
+    """The origin of a new store: the older store whose cells it takes over.
 
-    Without a ``retry`` the new store is an extension, which takes over all cells that no retry has solved.
+    store   name of the older store, see ``sibling_name``
+    run_id  identifier of the run that created the older store
+    retry   which cells are solved again; None for an extension, which takes over all cells that no retry has solved
     """
 
     store: str
@@ -74,13 +80,13 @@ class Origin:
     retry: RetryRequest | None = None
 
     def attributes(self) -> dict[str, str]:
-        """Return the attributes of the new store's root."""
+        """Return the attributes by which the new store's root records its origin."""
         retry_attribute = {} if self.retry is None else {"origin_retry": json.dumps(vars(self.retry))}
         return {"origin": self.store, "origin_run_id": self.run_id, **retry_attribute}
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> "Origin | None":
-        """Return the origin that is stored in attributes of a root; None if there is none."""
+        """Return the origin that the attributes of a store's root record; None if the store has none."""
         if "origin" not in attributes:
             return None
         fields = json.loads(attributes.get("origin_retry", "null"))

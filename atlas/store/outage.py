@@ -20,9 +20,9 @@ LONG_PATIENCE = 180.0
 """Seconds that a run waits for a store that it has reached before."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
 _PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)|\(RequestTimeout\b")
-"""Messages of obstore for failures that may pass: no connection, a cut one, an overloaded or broken server."""
+"""Pattern of obstore's messages for failures that may pass: no or a cut connection, an overloaded or broken server."""
 _REFUSED = re.compile(r"status code: 40[013]\b")
-"""Messages for requests that the server rejects for every object: S3 answers 400 to an expired credential."""
+"""Pattern of messages for requests that a server rejects for every object: S3 answers 400 to an expired credential."""
 _T = TypeVar("_T")
 
 
@@ -44,7 +44,7 @@ def retry_call(call: Callable[[], _T], url: str, patience: float) -> _T:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error, without obstore's details; of a server's XML its code and message."""
+    """Return the first line of an error without obstore's details; from a server's XML, its code and message."""
     first, _, answer = str(error).partition("\n\nDebug source")[0].partition("<")
     lines = first.splitlines()
     text = (lines[0].rstrip(": ") if lines else "") or type(error).__name__
@@ -54,14 +54,14 @@ def first_line(error: Exception) -> str:
 
 
 class _Outage:
-    """The failed attempts at one call; the outage begins when the first attempt fails."""
+    """An outage during one call to a server: it begins when the first attempt fails, and counts the failed attempts."""
 
     def __init__(self, url: str, patience: float) -> None:
         self.url, self.patience = url, patience
         self.begin, self.next = math.inf, _FIRST_PAUSE
 
     def pause_after(self, error: Exception) -> float:
-        """Return the seconds until the next attempt; raise an error to give up."""
+        """Return the seconds to wait after a failed attempt. Raise an error if the call is not to be repeated."""
         from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
         line = first_line(error)

@@ -1,10 +1,11 @@
 """The format of a tile record: digest of the tile's index and contents, and counts of its cells by regime and reason.
 
 A tile is a block of cells that is solved and written as one. Its record is a row of WIDTH float64 numbers in the array
-``tiles/records``. The first two hold the digest, 64 bits as two halves of 32 bits, which a float64 holds exactly. All
-others are numbers of cells, and areas of cells. Digests reveal swapped tiles. The counts tell what an atlas contains
-without reading its cells. Columns have fixed positions, with room for regimes and reasons of later versions. A row with
-such codes does not add up to its tile in this version, which then counts the tile from its chunks.
+``tiles/records``. The first two hold the digest, 64 bits as two halves of 32 bits, which a float64 holds exactly. The
+others are numbers of cells, and areas of cells, by regime and by reason. Digests reveal swapped tiles. The counts tell
+what an atlas contains without reading its cells. Columns have fixed positions, with room for regimes and reasons of
+later versions. A row with codes of a later version does not add up to its tile in this version, which then counts the
+tile from its chunks.
 """
 
 import hashlib
@@ -30,7 +31,7 @@ DIGEST = slice(0, 2)
 CELLS = slice(2, 2 + len(REGIMES))
 AREAS = slice(18, 18 + len(REGIMES))
 BY_REASON = slice(34, 34 + len(REASONS))
-"""Columns of the digest in two halves, of cells by regime, of their areas, and of cells by reason."""
+"""Columns of a tile record: its digest in two halves, its cells by regime, their areas, and its cells by reason."""
 WIDTH = 2 + sum(_ROOM.values())
 
 Index = tuple[int, ...]
@@ -56,7 +57,7 @@ def halves(digest: int) -> tuple[int, int]:
 
 
 def count_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArray[Any]]) -> Rows:
-    """Return the row of a tile without its digest.
+    """Return the record of a tile, a row of WIDTH numbers, with the digest left at zero.
 
     spec     spec of the atlas
     slices   cells of the tile; their areas are in units of the axes
@@ -75,7 +76,8 @@ def count_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArra
 
 
 def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the mask of valid tile records: their counts by regime and by reason add up to the cells of their tile.
+    """Return the mask (...) of valid tile records: their counts by regime and by reason add up to the cells of their
+    tile.
 
     rows   (..., WIDTH) tile records
     sizes  (...) number of cells of each tile
@@ -85,7 +87,12 @@ def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def record_node(variables: Iterable[Variable], dims: tuple[str, ...], grid: Index) -> dict[str, Any]:
-    """Return the metadata of the array of the tile records."""
+    """Return the Zarr metadata of the array of the tile records.
+
+    variables  variables of the cells, which the digests cover
+    dims       names of the dimensions of the atlas
+    grid       number of tiles along each dimension
+    """
     columns = [""] * WIDTH
     columns[DIGEST] = "digest, upper half", "digest, lower half"
     columns[CELLS] = [f"cells {regime.name}" for regime in REGIMES]
@@ -103,6 +110,6 @@ def record_node(variables: Iterable[Variable], dims: tuple[str, ...], grid: Inde
 
 
 def record_block(grid: Index) -> Index:
-    """Return the number of tiles along each dimension whose records share a chunk."""
+    """Return the number of tiles along each dimension whose records share a chunk of the array of records."""
     side = round(TILES_PER_CHUNK ** (1 / len(grid)))
     return tuple(min(n, side) for n in grid)

@@ -1,8 +1,9 @@
-"""The schema of a store: the attributes and arrays that the spec of an atlas decides, and ``layout``, their objects.
+"""The schema of a store: the attributes and arrays that follow from the spec of an atlas, as objects with keys and
+bytes.
 
 ``layout`` gives all metadata and coordinates of a store as bytes. Creation writes them, a verification compares them,
-and a repair writes the different ones. The attributes from which they follow, the spec among them, are those of the
-root and once more those of the group ``spec``: either makes the other again.
+and a repair writes the different ones. They all follow from the attributes of the root, among them the spec. The
+attributes are stored twice, with the root and with the group ``spec``, so that either copy restores the other.
 """
 
 import json
@@ -52,17 +53,17 @@ from workers.results import (
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 3
-"""The only version of the format that this program reads. It rises whenever ``layout`` gives other bytes."""
+"""The only version of the store's format that this program reads. It rises whenever ``layout`` gives other bytes."""
 SPEC_KEY = f"spec/{ROOT}"
-"""Key of the metadata of the group that repeats the attributes of the root."""
+"""Key of the object with a second copy of the root's attributes, the metadata of the group ``spec``."""
 OVERVIEWS = "overviews"
-"""Name of the group of the overview levels."""
+"""Name of the group of the overviews, coarser copies of the atlas."""
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
 """Names of the groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors;
 stability measures of cells. All but the first are tables.
 """
 PARTS = "searches/parts"
-"""Path of the array without values in whose folder the parts of searches in progress lie."""
+"""Path in the store under which intermediate results of searches in progress are kept; an array without values."""
 TABLES = (ATTRACTORS, LABELS, STABILITY)
 LARGEST_CHUNK = 2**31 - 1
 """Maximum size of a chunk, in bytes, that the codecs of a store accept."""
@@ -74,11 +75,16 @@ REGIME_COLORS = {
 }  # fmt: skip
 """Colour of each regime code in pictures."""
 DIMENSIONS = {"state": COMPONENT}
-"""New names of dimensions: xarray treats a variable with the name of one of its dimensions as a coordinate."""
+"""New names of dimensions that would have the name of a variable, which xarray would treat as a coordinate."""
 
 
 class StoredArray(NamedTuple):
-    """An array that is stored in one chunk: a coordinate, or a column of a table."""
+    """An array that is stored in one chunk: a coordinate, or a column of a table.
+
+    values      its values
+    dims        names of its dimensions
+    attributes  its attributes in the store
+    """
 
     values: Any
     dims: tuple[str, ...]
@@ -86,15 +92,15 @@ class StoredArray(NamedTuple):
 
 
 def coordinate_names(spec: Spec) -> list[str]:
-    """Return the names of ``coordinates``."""
+    """Return the names of the coordinates of an atlas, see ``coordinates``."""
     cells = [POINT, *spec.points] if spec.points else [axis.name for axis in spec.axes]
     return [*cells, *spec.parameters, COMPONENT]
 
 
 def coordinates(spec: Spec) -> dict[str, StoredArray]:
-    """Return the coordinates by name.
+    """Return the coordinate arrays of an atlas by name.
 
-    They are the axes, or the rows and columns of a table of points; the fixed parameters; the names of the states.
+    They are the axes, or the rows and columns of a table of points; the fixed parameters; and the names of the states.
     """
     record = spec.system_def
     names: dict[str, Any] = {"long_name": "component of the physical section state"}
@@ -116,7 +122,7 @@ def coordinates(spec: Spec) -> dict[str, StoredArray]:
 
 
 def root_attributes(spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str = "") -> dict[str, Any]:
-    """Return the attributes of a new store's root; a run identifier is drawn if ``run_id`` is empty.
+    """Return the attributes of a new store's root. If ``run_id`` is empty, a new identifier of the run is drawn.
 
     There are at least ten attributes, so a notebook shows them folded, and the spec does not fill the screen.
     """
@@ -141,7 +147,7 @@ def root_attributes(spec: Spec, tile: tuple[int, ...], origin: Origin | None, ru
 
 
 def layout_nodes(spec: Spec, tile: tuple[int, ...], retried: bool) -> dict[str, Node]:
-    """Return the metadata of all arrays and groups of a new store but the root and ``spec``, by path.
+    """Return the Zarr metadata of all arrays and groups of a new store, by path, except the root and ``spec``.
 
     spec     spec of the atlas
     tile     cells of a tile along each dimension
@@ -171,9 +177,11 @@ def layout(attributes: Mapping[str, Any], spec: Spec) -> dict[str, bytes]:
 
 
 def root_with_groups(attributes: Mapping[str, Any], nodes: Mapping[str, Node], groups: Mapping[str, bytes]) -> bytes:
-    """Return the metadata of a root with ``nodes`` and with copies of the metadata of whole groups.
+    """Return the metadata of a root, as bytes, with copies of the metadata of the arrays and groups of a store.
 
-    ``groups`` are the stored metadata of the groups by name. xarray opens a group by its copy in the root.
+    attributes  attributes of the root
+    nodes       metadata of the arrays and groups that every store has, by path
+    groups      stored metadata of further groups by name, such as tables; xarray opens a group by its copy in the root
     """
     members = dict(nodes)
     for name, data in groups.items():
@@ -189,14 +197,16 @@ def groups_of(spec: Spec) -> tuple[str, ...]:
 
 
 def whole_node(stored: StoredArray, codecs: Iterable[Node]) -> dict[str, Any]:
-    """Return the Zarr metadata of an array of one chunk; ``codecs`` apply after its encoding as bytes."""
+    """Return the Zarr metadata of an array that is stored in one chunk; ``codecs`` apply after its encoding as
+    bytes.
+    """
     values, dims, attributes = stored
     dtype = "string" if values.dtype.kind == "T" else values.dtype.name
     return array_node(values.shape, dtype, dims, attributes, codecs=codecs)
 
 
 def chunk_of_whole(path: str, stored: StoredArray) -> str:
-    """Return the key of the chunk of an array of one chunk."""
+    """Return the key of the only chunk of an array that is stored in one chunk."""
     return "/".join([path, "c", *("0" for _ in stored.values.shape)])
 
 
@@ -214,12 +224,15 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
 
 
 def remedy(backend: StoreBackend) -> str:
-    """Return the remedy for missing, damaged or wrong metadata, for a message."""
+    """Return text for a message: how to restore missing, damaged or wrong metadata of a store."""
     return REPACK_HINT if str(backend).lower().endswith(".zip") else f"atlas verify --repair {backend} restores them"
 
 
 def _variable_node(variable: Variable, spec: Spec, tiling: Tiling) -> dict[str, Any]:
-    """Return the metadata of a result with one object per tile: a chunk, or for a large tile a shard of chunks."""
+    """Return the Zarr metadata of a result variable, which has one object per tile.
+
+    The object is a chunk, or for a large tile a shard with several chunks.
+    """
     extra = tuple(spec.extra_sizes[dim] for dim in variable.extra_dims)
     return array_node(
         tiling.shape + extra,

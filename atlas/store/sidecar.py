@@ -18,15 +18,15 @@ from atlas.store.object_backend import Given, LocalBackend, ObjectBackend, Store
 from atlas.store.zarr_backend import ZarrBackend
 
 LEASE_NAME = "claim"
-"""Name of the object that holds the lease of a store; the run whose token it holds has the lease."""
+"""Name of the object of a sidecar that is the lease of the store. The run whose token it contains has the lease."""
 
 
 def sidecar_of(store: Given) -> StoreBackend:
-    """Return the sidecar of a store. A URL has the form ``s3://bucket/.plane.zarr.run`` for ``s3://bucket/plane.zarr``.
+    """Return the backend of a store's sidecar. For ``s3://bucket/plane.zarr`` it is at ``s3://bucket/.plane.zarr.run``.
 
     If the path of the store is a link, the sidecar lies beside the target, so that a store has one lease. A store that
-    is only read, such as a Zarr store object, has no sidecar and is returned itself; it has no object of these names.
-    Raise InputError for a store at the root of a bucket.
+    is only read, such as a Zarr store object, has no sidecar. Its own backend is returned, which has no object with a
+    sidecar's names. Raise InputError for a store at the root of a bucket.
     """
     backend = open_backend(store)
     if isinstance(backend, ObjectBackend):
@@ -43,7 +43,9 @@ def sidecar_of(store: Given) -> StoreBackend:
 
 
 def read_lease_token(sidecar: StoreBackend) -> str:
-    """Return the token of the run that leases a store, by one read; empty if there is no lease or it is damaged."""
+    """Return the token of the run that leases a store; empty if there is no lease or it is damaged. It takes one
+    read.
+    """
     try:
         return str(json.loads(sidecar.get(LEASE_NAME) or b"{}")["token"])
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -51,7 +53,7 @@ def read_lease_token(sidecar: StoreBackend) -> str:
 
 
 def lease_confirmation(store: StoreBackend, token: str, error: type[RunError], reason: str) -> Confirmation:
-    """Return a function that raises ``error`` unless the run of this token leases the store.
+    """Return a function that raises an error unless the run with the given token leases the store.
 
     store    backend of the store
     token    token of the run
@@ -68,7 +70,7 @@ def lease_confirmation(store: StoreBackend, token: str, error: type[RunError], r
 
 
 def clear_sidecar(sidecar: StoreBackend, names: Iterable[str]) -> None:
-    """Remove objects of a sidecar, and on a disk its folder with the last of them."""
+    """Remove the named objects of a sidecar; on a disk remove also its folder if nothing else is in it."""
     sidecar.remove_all(list(names))
     if sidecar.local is not None:
         for partial in sidecar.local.glob("*.partial"):  # left by a process that was killed while it wrote

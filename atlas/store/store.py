@@ -1,4 +1,4 @@
-"""The handle of a store: it opens the store and describes its spec, its arrays and its finished tiles."""
+"""The handle of a store, which opens the store and gives access to its spec, its arrays and its finished tiles."""
 
 import hashlib
 import json
@@ -43,13 +43,13 @@ COPY_BY_XARRAY = (
     "ds.atlas answers queries and draws pictures; no run or repair can complete it"
 )
 READERS = 8
-"""Number of tiles read at the same time: a disk or a network answers several requests as soon as one."""
+"""Number of tiles read at the same time: a disk or a network answers several requests in the time of one."""
 
 
 class _SharedCache(dict[str, Any]):
-    """Values that the views of a handle share, by name of the property: all that was read or opened so far.
+    """All that was read or opened so far through a handle of a store, by name of the handle's property.
 
-    ``lock`` is held while a value is computed.
+    Copies of the handle with other backends share it. ``lock`` is held while a value is computed.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class _SharedCache(dict[str, Any]):
 
 
 class SharedCachedProperty(cached_property[_T]):
-    """A property that is computed once for all views of a handle."""
+    """A property that is computed once for a handle and all its copies with other backends."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
         name, cache = str(self.attrname), instance.cache
@@ -73,7 +73,7 @@ class SharedCachedProperty(cached_property[_T]):
 class AtlasStore:
     """The handle of a store: its backend, spec, solver version and contents.
 
-    All metadata of arrays follow from the ``attributes``; their objects in the store are for other programs.
+    The handle derives all metadata of arrays from the ``attributes``. The metadata in the store are for other programs.
 
     backend          backend of the store
     attributes       attributes of the root, without their checksum
@@ -106,16 +106,19 @@ class AtlasStore:
         return self  # a handle never changes
 
     def current(self) -> "AtlasStore":
-        """Return this handle if the store's root is unchanged, else a new one. Raise errors like ``open_store``.
+        """Return this handle if the store has not been replaced since, that is if its root is unchanged; else a new
+        handle.
 
-        This takes one request, fewer than opening the store.
+        Raise errors like ``open_store``. This takes one request, fewer than opening the store.
         """
         with os_errors_as_input_errors(self.backend, "read"):
             same = self.state and _state(self.backend.get(ROOT)) == self.state
         return self if same else open_store(self.backend)
 
     def with_backend(self, backend: StoreBackend) -> "AtlasStore":
-        """Return the same handle for another view of its backend; both share everything that is read and opened."""
+        """Return a copy of the handle with another backend of the same store; both share everything that is read and
+        opened.
+        """
         other = object.__new__(AtlasStore)
         vars(other).update(vars(self), backend=backend)
         return other
@@ -129,7 +132,7 @@ class AtlasStore:
 
     @property
     def resolved(self) -> dict[str, Any]:
-        """The resolved spec of the store, as it was written."""
+        """The spec of the store as it was written, with all defaults filled in."""
         return unpack_axes(json.loads(self.attributes["spec"]))
 
     @SharedCachedProperty
@@ -142,7 +145,7 @@ class AtlasStore:
 
     @SharedCachedProperty
     def nodes(self) -> Mapping[str, Node]:
-        """Metadata of the arrays and groups that every store of the spec has, by path."""
+        """Zarr metadata of the arrays and groups that every store of the spec has, by path."""
         return layout_nodes(self.spec, self.tile, "origin_retry" in self.attributes)
 
     @SharedCachedProperty
@@ -152,7 +155,7 @@ class AtlasStore:
 
     @SharedCachedProperty
     def tiling(self) -> Tiling:
-        """The tiles of the store."""
+        """The division of the store's cells into tiles."""
         return Tiling(self.spec.shape, self.tile)
 
     @property
@@ -162,7 +165,7 @@ class AtlasStore:
 
     @SharedCachedProperty
     def allowances(self) -> tuple[BudgetVariable, ...]:
-        """Variables of the budgets that a retry may have raised; empty unless a retry made the store."""
+        """Variables with the budgets of cells that a retry may have raised; empty unless a retry made the store."""
         return budget_variables(self.spec) if self.origin is not None and self.origin.retry is not None else ()
 
     @property
@@ -171,12 +174,16 @@ class AtlasStore:
         return next(variable for variable in self.spec.variables if variable.name == REGIME.name)
 
     def dominant_arrays(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
-        """Return arrays with one result per cell, that of the first attractor."""
+        """Return the given arrays of cells with one result per cell: that of the first attractor, if there are
+        several.
+        """
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @SharedCachedProperty
     def arrays(self) -> Mapping[str, Any]:
-        """Zarr arrays of cells and coordinates by name, for reading, without a request; they encode chunks to write."""
+        """Zarr arrays of cells and coordinates by name, opened without a request; for reading, and to encode chunks to
+        write.
+        """
         return {name: array_by(self.backend, name, self.nodes[name]) for name in self.array_names}
 
     @property
@@ -186,7 +193,7 @@ class AtlasStore:
 
     @SharedCachedProperty
     def coordinates(self) -> dict[str, StoredArray]:
-        """Coordinates, by name."""
+        """Coordinate arrays of the store by name, made from the spec."""
         return coordinates(self.spec)
 
 
@@ -217,7 +224,13 @@ def _open_handle(backend: StoreBackend) -> AtlasStore:
 
 
 def _attributes(backend: StoreBackend, content: bytes | None) -> dict[str, Any]:
-    """Return the attributes of a root without a right checksum. Raise InputError if it is not that of an atlas."""
+    """Return the attributes in the metadata of a root whose checksum is wrong; empty if they cannot be read.
+
+    backend  backend of the store
+    content  bytes of the metadata, None if they are missing
+
+    Raise InputError if there is no store, or if the attributes are those of an atlas and therefore damaged.
+    """
     path = backend.local or getattr(backend, "file", None)
     if content is None and not (path is not None and path.exists()):
         raise InputError(f"{backend}: no such store")
@@ -231,7 +244,7 @@ def _attributes(backend: StoreBackend, content: bytes | None) -> dict[str, Any]:
 
 
 def _is_copy(backend: StoreBackend, content: bytes | None) -> bool:
-    """Return True if a root was copied without its groups: it is intact, and no group of tiles stands beside it."""
+    """Return True if only the root of a store was copied: the root is intact, but the group of tiles is missing."""
     return unsealed(content) is not None and not backend.exists(f"{TILES}/{ROOT}")
 
 
@@ -240,7 +253,7 @@ def _state(content: bytes | None) -> str:
 
 
 def handle_by(backend: StoreBackend, attributes: Mapping[str, Any]) -> AtlasStore:
-    """Return the handle of a store with these attributes of its root.
+    """Return the handle of a store whose root has the given attributes.
 
     Raise InputError if they are not those of an atlas, or have an unknown format.
     """
@@ -261,14 +274,14 @@ def handle_by(backend: StoreBackend, attributes: Mapping[str, Any]) -> AtlasStor
 
 
 def read_groups(handle: AtlasStore) -> dict[str, bytes]:
-    """Return the metadata of the whole groups of a store, by name: overviews, tables, curves."""
+    """Return the stored metadata of the undamaged groups of a store by name: overviews, tables, curves."""
     names = (OVERVIEWS, *groups_of(handle.spec))
     stored = handle.backend.get_all(f"{name}/{ROOT}" for name in names)
     return {key.partition("/")[0]: data for key, data in stored.items() if unsealed(data) is not None}
 
 
 def write_root(handle: AtlasStore, without: str = "") -> None:
-    """Write the metadata of the root, with copies of the metadata of all whole groups but ``without``."""
+    """Write the metadata of the root, with copies of the metadata of all undamaged groups but ``without``."""
     groups = {name: data for name, data in read_groups(handle).items() if name != without}
     handle.backend.put(ROOT, root_with_groups(handle.attributes, handle.nodes, groups))
 
@@ -282,7 +295,7 @@ def find_store(store: Given) -> AtlasStore | None:
 
 
 def is_free(backend: StoreBackend) -> bool:
-    """Return True if a backend has no store, and on a disk no other content."""
+    """Return True if a new store may be created at a backend: no store is there, and on a disk nothing else."""
     path = backend.local
     if path is None:
         return not backend.exists(ROOT)
@@ -290,9 +303,10 @@ def is_free(backend: StoreBackend) -> bool:
 
 
 def done_mask(handle: AtlasStore) -> NDArray[np.bool_]:
-    """Return the mask (grid) of the finished tiles, whose regime chunk exists and is not empty, from one listing.
+    """Return the mask (grid) of the finished tiles, from one listing of the store.
 
-    A crash may have emptied files. On a disk, looking at their sizes takes most of the time.
+    A tile is finished if the chunk with its regimes exists and is not empty. A crash may have emptied files. On a disk,
+    looking at their sizes takes most of the time.
     """
     grid, backend, folder = handle.tiling.grid, handle.backend, f"{REGIME.name}/c"
     keys = backend.whole_keys(backend.list_keys(f"{folder}/"))
@@ -305,7 +319,7 @@ def done_tiles(handle: AtlasStore) -> set[tuple[int, ...]]:
 
 
 def is_done(handle: AtlasStore, index: tuple[int, ...]) -> bool:
-    """Return True if one tile is finished; see ``done_tiles`` for all tiles."""
+    """Return True if the tile with this index is finished; see ``done_tiles`` for all tiles."""
     return handle.backend.exists(chunk_key(handle.regime, index))
 
 
@@ -315,14 +329,16 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
 
 
 def array_by(backend: StoreBackend, path: str, node: Node) -> Any:
-    """Return a Zarr array of a store, for reading, that the metadata ``node`` describe."""
+    """Return a Zarr array, for reading, from a store's backend, its path and its metadata ``node``."""
     from atlas.store.zarr_store import BackendStore  # with it Zarr, which takes a while to load
 
     return array_in(BackendStore(backend), path, node)
 
 
 def array_in(store: Any, path: str, node: Node) -> Any:
-    """Return an array of a Zarr store object that the metadata ``node`` describe. Wrong ones may raise anything."""
+    """Return a Zarr array from a Zarr store object, its path and its metadata ``node``. Wrong metadata may raise
+    anything.
+    """
     from zarr import Array, AsyncArray
     from zarr.storage import StorePath
 

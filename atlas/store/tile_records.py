@@ -1,8 +1,8 @@
 """The records of the finished tiles of a store: one table, ``tiles/records``, which the coordinator of a run writes.
 
 A worker returns the record of a tile once it has written ``regime``, which makes the tile finished. The coordinator
-keeps all records in memory, writes the chunks of the table that have changed now and then, and the rest at its end. No
-kill leaves a wrong record of a finished tile:
+keeps all records in memory. It writes the changed chunks of the table now and then, and the rest at the end of the run.
+No kill leaves a wrong record of a finished tile:
 
 - A record without a ``regime`` belongs to an unfinished tile, and is not read.
 - After a kill the records of the last tiles are missing. Such a tile is counted from its chunks, and the next run
@@ -43,21 +43,23 @@ from atlas.store.tiles import encode_chunks, read_tile, record_of
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
 SAVE_SECONDS = 30.0
-"""Seconds between writes of the table during a run; a run that is killed loses the records of this time at most."""
+"""Minimum seconds between writes of the table during a run; a run that is killed loses at most the records since the
+last.
+"""
 SAVE_SHARE = 100
-"""The pause after a write is at least this many times as long as the write took."""
+"""Minimum ratio of the pause after a write of the table to the duration of the write."""
 Block = tuple[slice, ...]
 
 
 class TileRecords:
     """The tile records of a store at one moment, read at their first use.
 
-    finished_mask   mask (grid) of the finished tiles: ``finished``, by default from the store
-    known_mask      mask of the tiles with a valid row
+    finished_mask   mask (grid) of the finished tiles: ``finished``, by default found in the store
+    known_mask      mask (grid) of the finished tiles with a valid record
     damaged         faults of chunks of the table, by key
     lost            tiles that are finished according to the table, but not by their chunks
 
-    Reading rows sets the last two.
+    Reading records sets ``damaged`` and ``lost``.
     """
 
     def __init__(self, handle: AtlasStore, finished: NDArray[np.bool_] | None = None) -> None:
@@ -67,7 +69,10 @@ class TileRecords:
 
     @cached_property
     def _listed(self) -> NDArray[np.bool_]:
-        """Mask of the listed tiles. The table is enough for a finished atlas on a server."""
+        """Mask (grid) of the finished tiles, from a listing of their chunks.
+
+        At a URL, a table with valid records of all tiles makes the listing unnecessary.
+        """
         if self.handle.backend.local is None:
             checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
             if all(checks):
@@ -81,19 +86,22 @@ class TileRecords:
 
     @property
     def finished_mask(self) -> NDArray[np.bool_]:
-        """See the class."""
+        """Mask (grid) of the finished tiles."""
         return self._masks[0]
 
     @property
     def known_mask(self) -> NDArray[np.bool_]:
-        """See the class."""
+        """Mask (grid) of the finished tiles that have a valid record."""
         return self._masks[1]
 
     def valid_blocks(self) -> Iterator[tuple[Block, Rows, NDArray[np.bool_]]]:
-        """Yield (tiles, rows, finished) for each chunk of the table.
+        """Yield (tiles, rows, finished) for each chunk of the table of records.
 
-        These are the slices of its tiles, their records (..., WIDTH), and the mask of the finished tiles. A tile
-        without a valid record has a row of zeros. Memory does not grow with the atlas.
+        tiles     slices of the tiles whose records are in the chunk
+        rows      (..., WIDTH) the records; zeros for a tile without a valid record
+        finished  (...) mask of the finished tiles
+
+        Memory does not grow with the atlas.
         """
         finished = (self._listed if self._given is None else self._given).copy()
         known, self.lost = np.zeros_like(finished), []
@@ -119,12 +127,14 @@ class TileRecords:
         return values
 
     def tiles_without(self, codes: Iterable[int]) -> NDArray[np.bool_]:
-        """Return the mask of the tiles without a cell of these regimes, according to their records."""
+        """Return the mask (grid) of the tiles that have, by their records, no cell of the regimes with these codes."""
         code_mask = np.isin([regime.code for regime in REGIMES], list(codes))
         return self.known_mask & (self.columns(CELLS)[..., code_mask].sum(axis=-1) == 0)
 
     def _blocks(self) -> Iterator[tuple[Block, Rows]]:
-        """Yield (tiles, rows) for each chunk of the table: the slices of its tiles, and their records (..., WIDTH)."""
+        """Yield the content of each chunk of the table of records: the slices of its tiles, and their records (...,
+        WIDTH).
+        """
         table, grid = _table(self.handle), self.handle.tiling.grid
         for block in _blocks_of(grid):
             try:
@@ -139,7 +149,7 @@ class TileRecords:
 class RunTileRecords:
     """The tile records of a store during a run, in the memory of the coordinator.
 
-    They begin as the ``records`` in the store; each report of a finished tile adds one.
+    They begin as ``records``, those in the store; each report of a finished tile adds one.
     """
 
     def __init__(self, handle: AtlasStore, records: TileRecords) -> None:
@@ -157,7 +167,10 @@ class RunTileRecords:
 
     @property
     def counts(self) -> dict[str, Any] | None:
-        """Contents of the store: finished tiles, cells by regime and by reason; None if some tiles are not counted."""
+        """Contents of the store by its records: finished tiles, cells by regime and by reason.
+
+        None if a finished tile has no record.
+        """
         if self._uncounted.any():
             return None
         regimes, reasons = counts_by_name(self._total)
@@ -168,7 +181,7 @@ class RunTileRecords:
         return self._done & ~self._rows.any(axis=-1)
 
     def save(self) -> None:
-        """Write the changed chunks of the table, if the last write was long enough ago."""
+        """Write the changed chunks of the table of records, if the last write was long enough ago."""
         begin = time.monotonic()
         if begin >= self._next and self._changed:
             self.write()
@@ -176,14 +189,17 @@ class RunTileRecords:
             self._next = end + max(SAVE_SECONDS, SAVE_SHARE * (end - begin))
 
     def clear_table(self) -> None:
-        """Remove all records from the table, but not from memory: tiles are about to change."""
+        """Remove all records from the table in the store, but not from memory, since tiles are about to change."""
         self._handle.backend.confirm_lease()
         keys = [_chunk_key(block, self._handle.tiling.grid) for block in _blocks_of(self._handle.tiling.grid)]
         self._handle.backend.remove_all(keys)
         self._changed.update(itertools.product(*map(range, _table_grid(self._handle.tiling.grid))))
 
     def finish(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Write the table, with missing records made from the tiles; ``on_wait`` is called with their number."""
+        """Complete the table of records and write it. Missing records are made by reading their tiles.
+
+        ``on_wait`` is called with the number of tiles that have to be read.
+        """
         uncounted = [tuple(index) for index in np.argwhere(self._uncounted).tolist()]
         if uncounted:
             on_wait(len(uncounted))
@@ -195,19 +211,22 @@ class RunTileRecords:
         self.write()
 
     def write(self) -> None:
-        """Write the changed chunks of the table."""
+        """Write the changed chunks of the table of records."""
         if self._changed:
             write_records(self._handle, self._rows, self._changed)
             self._changed.clear()
 
 
 def complete_records(handle: AtlasStore) -> None:
-    """Write the records that the table of a store lacks; no run may write the store."""
+    """Make and write the records that the table of a store lacks. No run may write the store meanwhile."""
     RunTileRecords(handle, TileRecords(handle, done_mask(handle))).finish()
 
 
 def write_records(handle: AtlasStore, rows: Rows, chunks: Iterable[Index] | None = None) -> None:
-    """Write the rows of these chunks of the table, by default of all; chunks without a record are removed."""
+    """Write chunks of the table of records from ``rows`` (grid..., WIDTH), the records of all tiles.
+
+    ``chunks`` are the indices of the chunks, by default all. Chunks without a record are removed.
+    """
     table, grid = _table(handle), handle.tiling.grid
     handle.backend.confirm_lease()
     for block in _blocks_of(grid):
@@ -219,7 +238,7 @@ def write_records(handle: AtlasStore, rows: Rows, chunks: Iterable[Index] | None
 
 
 def forget_records(handle: AtlasStore, tiles: Iterable[Index]) -> None:
-    """Remove the records of these tiles from the table, before the tiles are dropped."""
+    """Remove the records of these tiles from the table, which must happen before the tiles themselves are dropped."""
     rows = TileRecords(handle).columns()
     for index in tiles:
         rows[index] = 0.0
@@ -230,19 +249,19 @@ EXCHANGED = "its digest does not match: its chunks were swapped with another til
 
 
 def is_exchanged(records: TileRecords, index: Index, row: Rows) -> bool:
-    """Return True if the record of a finished tile has another digest than ``row``.
+    """Return True if the digest in a tile's stored record differs from that of ``row``, computed from the tile's cells.
 
-    ``row`` is the record computed from the cells of the tile.
+    The tile's chunks were then swapped with another tile's, or altered.
     """
     digest = records.columns(DIGEST)[index]
     return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])
 
 
 def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
-    """Count these tiles anew from their chunks. Yield one item for each tile, in order.
+    """Count the cells of tiles by regime and reason, from their chunks. Yield one item for each tile, in order.
 
-    An item is the tile's row of counts, (WIDTH,), its digests left at zero; or the error that names the damaged chunk.
-    A tile that is not finished has a row of zeros.
+    An item is the tile's record (WIDTH,) with the digest left at zero, or the error that names a damaged chunk. A tile
+    that is not finished has a record of zeros.
     """
 
     def count_one(index: Index) -> Rows | ChunkError:
@@ -257,7 +276,10 @@ def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | C
 
 
 def counts_by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
-    """Return the positive counts in a sum of rows, by name of the regime and by text of the reason."""
+    """Return the numbers of cells by name of the regime and by text of the reason, from a sum of records (WIDTH,).
+
+    Zeros are left out.
+    """
     cells, reasons = total[CELLS].astype(int).tolist(), total[BY_REASON].astype(int).tolist()
     regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
     named = {r.text: count for r, count in zip(REASONS, reasons, strict=True) if count and r.code != NO_REASON}
@@ -265,7 +287,7 @@ def counts_by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
 
 
 def _tiles(mask: NDArray[np.bool_], block: Block) -> list[Index]:
-    """Return the indices of the tiles of a block in a mask over the block."""
+    """Return the indices of the tiles that are True in ``mask``, a mask over the tiles with slices ``block``."""
     return [tuple(index) for index in (np.argwhere(mask) + [part.start for part in block]).tolist()]
 
 
@@ -274,7 +296,7 @@ def _table(handle: AtlasStore) -> Any:
 
 
 def _table_grid(grid: Index) -> Index:
-    """Return the number of chunks of the table along each dimension of the tiles."""
+    """Return the number of chunks of the table of records along each dimension, for a ``grid`` of tiles."""
     return tuple(-(-n // side) for n, side in zip(grid, record_block(grid), strict=True))
 
 
@@ -286,7 +308,7 @@ def _blocks_of(grid: Index) -> Iterator[Block]:
 
 
 def _block_index(index: Index, grid: Index) -> Index:
-    """Return the index of the chunk of the table with the record of a tile."""
+    """Return the index of the chunk of the table of records that has the record of a tile."""
     return tuple(i // side for i, side in zip(index, record_block(grid), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""Tiles of a store: they are written whole, and reading them finds every missing or damaged chunk."""
+"""Reading and writing the tiles of a store; reading a tile finds every missing or damaged chunk."""
 
 import errno
 from collections.abc import Iterable, Mapping
@@ -23,7 +23,7 @@ from workers.results import LABEL, REGIME, Variable
 
 
 def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write a tile as whole objects and return its record. ``regime`` comes last.
+    """Write the results of a tile as whole objects, ``regime`` last, and return the tile's record.
 
     The tile is finished once ``regime`` exists. Another attempt at the tile writes the same bits.
     """
@@ -43,7 +43,7 @@ def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, 
 def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Write a tile like ``write_tile``, but copy its objects from ``origin``, a store of the same cells and tiles.
 
-    ``arrays`` are the values read from the origin, whose objects are whole.
+    ``arrays`` are the results as read from the origin, whose objects must be intact.
     """
     row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
     *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
@@ -54,7 +54,10 @@ def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], ar
 
 
 def _begin_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Record the host that writes a tile, remove old objects that the tile no longer has, and return its record."""
+    """Prepare writing a tile and return the tile's record.
+
+    This host is recorded, and old objects that the tile no longer has are removed.
+    """
     record_host(handle, current_host())
     sparse = (variable for variable in _written(handle) if variable.sparse)
     absent = [chunk_key(variable, index) for variable in sparse if is_blank(arrays[variable.name], variable)]
@@ -64,19 +67,20 @@ def _begin_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str,
 
 
 def _with_allowances(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Return the arrays of a tile with its budgets, by default the settings of the spec."""
+    """Return the results of a tile with the budgets of its cells added; the default is the settings of the spec."""
     return {allowance.name: _as_in_spec(handle, index, allowance) for allowance in ALLOWANCES} | dict(arrays)
 
 
 def _written(handle: AtlasStore) -> list[Variable]:
-    """Return the variables of cells in the store, ``regime`` last."""
+    """Return the variables of cells that the store has, ``regime`` last, in the order in which a tile is written."""
     return [*handle.allowances, *handle.variables]
 
 
 def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write the labels in ``arrays`` into a tile of basins, once all tiles are finished, and return its new record.
+    """Write the labels in ``arrays`` into a tile of basins, once all tiles are finished, and return the tile's new
+    record.
 
-    Other arrays stay as stored. The table of the records must not have an earlier record of the tile.
+    Other arrays stay as stored. The table of records must not have an earlier record of the tile.
     """
     array = handle.arrays[LABEL.name]
     handle.backend.confirm_lease()
@@ -85,7 +89,7 @@ def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str
 
 
 def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
-    """Return the objects, by key, of a Zarr array with these values in a block of whole objects.
+    """Encode values of a block of a Zarr array as the objects to store, by key. The block consists of whole objects.
 
     Objects that hold fill values alone are included unless ``sparse``, so that a missing object is a missing result.
     """
@@ -99,14 +103,17 @@ def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) 
 
 
 def record_of(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Return the record of a tile with these arrays, including those of ``ALLOWANCES``."""
+    """Return the record of a tile with these results, including the budgets ``ALLOWANCES``."""
     row = count_row(handle.spec, handle.tiling.at(index).slices, handle.dominant_arrays(arrays))
     row[DIGEST] = halves(digest_of(index, (*handle.variables, *ALLOWANCES), arrays))
     return row
 
 
 def drop_tile(handle: AtlasStore, index: tuple[int, ...]) -> None:
-    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
+    """Make a tile unfinished, by removing its ``regime``, so that the next run solves it again.
+
+    Its other chunks stay until they are rewritten.
+    """
     handle.backend.confirm_lease()
     handle.backend.remove(chunk_key(handle.regime, index))
 
@@ -116,7 +123,7 @@ def read_tile(
     index: tuple[int, ...],
     names: Iterable[str] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Return the arrays of a finished tile: those named, or all results and ``ALLOWANCES``.
+    """Return the results of a finished tile: those named, or all results and the budgets ``ALLOWANCES``.
 
     handle   handle of the store
     index    index of the tile
@@ -149,7 +156,7 @@ def read_tile(
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:
-    """Return the slices of a tile's cells in an array.
+    """Return the slices of a tile's cells in a Zarr array.
 
     They follow from the shape of the array's own objects, so that no write is misaligned.
     """
@@ -158,7 +165,9 @@ def block(array: Any, index: tuple[int, ...]) -> Slices:
 
 
 def object_shape(array: Any) -> tuple[int, ...]:
-    """Return the shape of an array's objects in cells: shards, or chunks if there are no shards."""
+    """Return the shape, in cells, of the objects in which a Zarr array is stored: shards, or chunks if there are no
+    shards.
+    """
     return tuple(array.shards or array.chunks)
 
 
@@ -167,7 +176,7 @@ def _as_in_spec(handle: AtlasStore, index: tuple[int, ...], allowance: BudgetVar
 
 
 def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
-    """Return the values of a tile in an array, or the fault of its chunk."""
+    """Return the values of a tile in a Zarr array, or a text about the fault of its chunk."""
     try:
         return np.asarray(array[block(array, index)])
     except OSError as error:
@@ -181,7 +190,10 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
 
 
 def _lost(handle: AtlasStore, array: Any, key: str) -> str:
-    """Return the fault of an object that reads as fill values: missing, or an empty shard; empty if it exists."""
+    """Return a text about the fault of an object that reads as fill values: it is missing, or an empty shard.
+
+    The text is empty if the object exists.
+    """
     if not array.shards:
         return "" if handle.backend.exists(key) else "is missing"
     data = handle.backend.get(key)
@@ -189,6 +201,6 @@ def _lost(handle: AtlasStore, array: Any, key: str) -> str:
 
 
 def is_blank(values: np.ndarray, variable: Variable) -> bool:
-    """Return True if all values are the fill value."""
+    """Return True if all values equal the fill value of the variable, that is, nothing was written."""
     blank = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
     return bool(np.all(blank))

@@ -1,4 +1,4 @@
-"""The division of a block of cells into tiles, and of large tiles into chunks."""
+"""The division of an atlas's cells into tiles, and of large tiles into chunks."""
 
 import itertools
 import math
@@ -18,23 +18,28 @@ INNER_CHUNK = 64
 
 
 def part_side(tile: int) -> int:
-    """Return the side of a tile's chunks: the largest divisor of its side from INNER_CHUNK / 2 to INNER_CHUNK.
+    """Return the side, in cells, of the chunks of a tile whose side is ``tile``.
 
-    Without such a divisor the chunk is the tile.
+    It is the largest divisor of that side from INNER_CHUNK / 2 to INNER_CHUNK. Without such a divisor the chunk is the
+    tile.
     """
     return next((side for side in range(INNER_CHUNK, INNER_CHUNK // 2 - 1, -1) if tile % side == 0), tile)
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A block of cells that is solved and written as one: its index along each dimension, and the cells it covers."""
+    """A block of cells that is solved and written as one.
+
+    index   its index along each dimension
+    slices  the cells that it covers
+    """
 
     index: Index
     slices: Slices
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Cells along each dimension."""
+        """Number of cells along each dimension."""
         return tuple(part.stop - part.start for part in self.slices)
 
     @property
@@ -47,7 +52,7 @@ class Tile:
 class Tiling:
     """A block of cells of shape ``shape``, divided into tiles of shape ``tile``; the slowest dimension comes first.
 
-    The last tiles may have fewer cells.
+    The last tiles along a dimension may have fewer cells.
     """
 
     shape: tuple[int, ...]
@@ -60,7 +65,7 @@ class Tiling:
 
     @property
     def grid(self) -> tuple[int, ...]:
-        """Tiles along each dimension."""
+        """Number of tiles along each dimension."""
         return tuple(-(-n // t) for n, t in zip(self.shape, self.tile, strict=True))
 
     @property
@@ -69,7 +74,7 @@ class Tiling:
         return math.prod(self.grid)
 
     def tiles(self) -> Iterator[Tile]:
-        """Yield all tiles, row by row."""
+        """Yield all tiles of the block, the last dimension fastest."""
         for index in itertools.product(*map(range, self.grid)):
             yield self.at(index)
 
@@ -79,7 +84,7 @@ class Tiling:
         return Tile(index, tuple(slice(i * t, min((i + 1) * t, n)) for i, t, n in parts))
 
     def sizes(self) -> NDArray[np.int64]:
-        """Return the number of cells of every tile, as an array over the tiles."""
+        """Return the number of cells of every tile, as an array (grid) over the tiles."""
         along = (
             np.minimum(np.arange(1, count + 1) * tile, cells) - np.arange(count) * tile
             for count, tile, cells in zip(self.grid, self.tile, self.shape, strict=True)
@@ -88,10 +93,10 @@ class Tiling:
 
 
 def chunk_places(keys: Iterable[str], folder: str, grid: Index) -> Iterator[int]:
-    """Yield for each key, such as ``regime/c/3/14``, the place of its chunk in the flattened grid.
+    """Yield for each key, such as ``regime/c/3/14``, the position of its chunk in the flattened grid of chunks.
 
-    The place is negative for the key of no chunk of the ``folder``, here ``regime/c``: a killed write or another
-    program may leave a key such as ``regime/c/03/14``.
+    The position is negative if the key belongs to no chunk of the ``folder``, here ``regime/c``: a killed write or
+    another program may leave a key such as ``regime/c/03/14``.
     """
     columns, none = {str(i): i for i in range(grid[-1])}, -math.prod(grid)
     above = itertools.product(*map(range, grid[:-1]))
@@ -102,7 +107,10 @@ def chunk_places(keys: Iterable[str], folder: str, grid: Index) -> Iterator[int]
 
 
 def chunk_mask(keys: Iterable[str], folder: str, grid: Index) -> NDArray[np.bool_]:
-    """Return the mask of the chunks of a folder with these keys; the keys of no chunk are ignored."""
+    """Return the mask (grid) of the chunks that exist in a folder, from the keys of its objects.
+
+    Keys that belong to no chunk are ignored.
+    """
     places = np.fromiter(chunk_places(keys, folder, grid), np.int64)
     mask = np.zeros(grid, dtype=bool)
     mask.flat[places[places >= 0]] = True

@@ -1,4 +1,4 @@
-"""The backend of a Zarr store object, read-only: a zip file, in memory, of obstore, of an Icechunk session."""
+"""A read-only backend from any Zarr store object: of a zip file, in memory, of obstore, or of an Icechunk session."""
 
 import asyncio
 import errno
@@ -19,20 +19,22 @@ from atlas.store.backend import StoreBackend
 
 SUFFIX = ".zip"
 _LARGEST_UNPACKED = 2**28
-"""Maximum unpacked size, in bytes, of a compressed member.
+"""Maximum unpacked size, in bytes, of a compressed member of a zip file.
 
-Packed atlases are not compressed; others may be zip bombs.
+Packed atlases are not compressed; other files may be zip bombs, small files with huge contents.
 """
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
-"""Exceptions of zipfile for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
+"""Exceptions of zipfile for damaged files: wrong checksums, unknown methods of compression, bits that mean encryption.
+"""
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
 class ZarrBackend(StoreBackend):
-    """The root of a Zarr store object, or of a zip file, which Zarr's ZipStore reads.
+    """A read-only backend of a Zarr store object, or of a zip file, which Zarr's ZipStore reads.
 
-    A damaged zip file raises OSErrors. Two backends are equal if they have the same object, or files of the same path.
+    A damaged zip file raises OSErrors. Two backends are equal if they have the same store object, or zip files of the
+    same path.
     """
 
     root: Any
@@ -55,7 +57,7 @@ class ZarrBackend(StoreBackend):
 
     @property
     def read_only_reason(self) -> str:  # type: ignore[override]
-        """The kind of backend, for messages."""
+        """The kind of a backend that cannot be written, for messages."""
         return "a Zarr store object" if self.file is None else "a zip file"
 
     def get(self, key: str, part: slice | None = None) -> bytes | None:
@@ -100,7 +102,7 @@ class ZarrBackend(StoreBackend):
             yield from run_in_zarr(listed())
 
     async def _open(self) -> Any:
-        """Return the Zarr store; None for a zip file that does not exist."""
+        """Return the open Zarr store; None for a zip file that does not exist."""
         if self.file is None:
             return self.root
         try:
@@ -129,7 +131,7 @@ class ZarrBackend(StoreBackend):
 
 
 _opened: dict[Hashable, Any] = {}
-"""Open zip files by path, state and process: the table of contents is read once. Only Zarr's thread uses it."""
+"""Open zip files by path, state and process, so that the table of contents is read once. Only Zarr's thread uses it."""
 _MAX_OPEN = 8
 
 
@@ -170,7 +172,7 @@ def check_not_packed(backend: StoreBackend) -> None:
 
 
 def run_in_zarr(work: Coroutine[Any, Any, _T]) -> _T:
-    """Return the result of a coroutine that uses Zarr stores, in the event loop that Zarr keeps for them."""
+    """Run a coroutine that uses Zarr stores in the event loop that Zarr keeps for them, and return its result."""
     return asyncio.run_coroutine_threadsafe(work, _zarr_loop(os.getpid())).result()
 
 

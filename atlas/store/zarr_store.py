@@ -1,4 +1,4 @@
-"""Zarr's store of a backend: Zarr reads the arrays of every kind of backend through this class."""
+"""An adapter that lets Zarr read the arrays of any backend."""
 
 import asyncio
 import os
@@ -18,7 +18,7 @@ _T = TypeVar("_T")
 
 
 class BackendStore(Store):
-    """A backend as a Zarr store for reading. Each call runs in a thread, where the backend waits for its server."""
+    """A backend as a Zarr store for reading. Each call runs in a thread, where it may wait for a server."""
 
     supports_writes = supports_deletes = False
     supports_listing = True
@@ -87,5 +87,7 @@ async def _in_thread(call: Callable[..., _T], *arguments: Any) -> _T:
 
 @lru_cache(maxsize=1)
 def _threads(process: int) -> ThreadPoolExecutor:
-    """Return threads that wait for servers: asyncio's own are as few as the processors."""
+    """Return the pool of threads that wait for servers. It is larger than asyncio's own, which depends on the
+    processors.
+    """
     return ThreadPoolExecutor(AT_ONCE, "atlas-store")

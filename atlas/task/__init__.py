@@ -1,1 +1,1 @@
-"""Jobs of a run that workers execute: tiles, overviews, labels."""
+"""The jobs that the workers of a run execute: solving tiles, building overviews, labelling basins."""

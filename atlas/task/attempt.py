@@ -1,4 +1,4 @@
-"""Execution of a job of a run on a worker, and of one attempt at a tile."""
+"""Execute a job of a run on a worker, and count attempts at a tile that kill their process."""
 
 import json
 import os
@@ -27,11 +27,13 @@ from atlas.task.tile_job import (
 )
 
 MAX_DEATHS = 2
-"""Maximum number of attempts at a tile in one run that die with their process; then the run gives the tile up."""
+"""Number of attempts at a tile in one run that die with their process, after which the run gives the tile up."""
 
 
 def execute_job(job: RunJob) -> TileReport | DerivedReport:
-    """Execute any job of a run and return its report: a tile, a chunk of the overviews, or the labels of basins."""
+    """Do any job of a run on this worker and return its report: a tile, a chunk of the overviews, or the labels of
+    basins.
+    """
     if job.level == LABELS:
         return label_basins(job)
     return make_chunk(job) if job.level else run_tile_job(job)
@@ -40,10 +42,10 @@ def execute_job(job: RunJob) -> TileReport | DerivedReport:
 def run_tile_job(job: RunJob) -> TileReport:
     """Solve a tile, write it, and return its report.
 
-    During the attempt a sidecar file of the store counts it. A file found at the start is left by an attempt that died.
-    After MAX_DEATHS such attempts in one run the tile counts as one that kills its process. RunError then names the
-    last attempt, and the file stays, so that only another run tries again. Of two attempts at the same time each writes
-    the same bits.
+    During the attempt a small file in the store's sidecar counts it. A file found at the start is left by an attempt
+    that died. After MAX_DEATHS such attempts in one run the tile counts as one that kills its process. RunError then
+    names the last attempt, and the file stays, so that only another run tries again. Of two attempts at the same time
+    each writes the same bits.
 
     Raise WorkerRefusedError if this worker must not solve the tile: another solver, or another store at the path. Raise
     NetworkError if the store does not respond within the job's patience.
@@ -65,7 +67,11 @@ def run_tile_job(job: RunJob) -> TileReport:
 
 
 def _count_attempt(sidecar: StoreBackend, name: str, run: str) -> None:
-    """Count an attempt of a run in the sidecar; raise RunError if MAX_DEATHS earlier ones have died."""
+    """Count a new attempt at a tile in the sidecar file ``name``. Raise RunError if MAX_DEATHS earlier attempts have
+    died.
+
+    Attempts of other runs than ``run`` do not count.
+    """
     try:
         before: dict[str, Any] = json.loads(sidecar.get(name) or b"{}")
         number, last = before["number"] if before["run"] == run else 0, before["process"]

@@ -1,4 +1,4 @@
-"""Compilation of the kernels into the cache on disk, once per host, by the first process that needs them."""
+"""Compilation of the numerical kernels into a cache on disk, once per host, by the first process that needs them."""
 
 import gc
 import os
@@ -19,7 +19,7 @@ from workers.settings import Settings
 
 CELLS, ATTRACTORS, ORBITS, PATHS, MEASURES, OBSERVED = "", "attractors", "orbits", "paths", "measures", "observed"
 MODES = "modes"
-"""Parts of the kernels.
+"""Names of the parts of the compiled kernels.
 
 CELLS        solve cells of machines with one rigid contact
 ATTRACTORS   compare motions with known attractors
@@ -27,15 +27,15 @@ ORBITS       orbits as equations of their events, for branches, curves and label
 PATHS        motion between events, for portraits
 MEASURES     measure motions
 OBSERVED     observe motions
-MODES        solve cells of machines with modes
+MODES        solve cells of machines with modes: laws of motion that change at events
 
-All other parts need the first or the last.
+All other parts need CELLS or MODES.
 """
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
-"""A cell of the default system whose initial states soon reach the same orbit."""
+"""Parameters of a cell of the default system in which all initial states soon reach the same orbit."""
 AN_ORBIT = {"omega": 3.5, "b": 0.15}
-"""A cell of the default system whose orbit has impacts."""
+"""Parameters of a cell of the default system whose orbit has impacts."""
 
 _ONE_MASS: dict[str, Any] = {
     "name": "warm-up",
@@ -52,7 +52,7 @@ WITH_MODES: dict[str, Any] = _ONE_MASS | {
     "phases": [{"start": 0.0}, {"start": 0.5, "stiffness": [[2.0]]}],
     "parameters": {"omega": {"default": 1.0}},
 }
-"""A machine whose law changes in every way: contact, friction, phases."""
+"""Definition of a machine with every kind of change of its law of motion: contact, friction, phases of the period."""
 
 WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
     "gap": [1.0],
@@ -60,25 +60,28 @@ WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
     "restitution": 0.5,
     "measures": {"all": {"displacement": [1.0], "report": ["peak"]}},
 }
-"""A machine that is measured, with one rigid contact that it never reaches."""
+"""Definition of a machine with measured outputs, and with one rigid contact that it never reaches."""
 
 YOUNG_OBJECTS = 50_000
-"""Number of new objects before Python searches for unreachable ones. A compiler's objects live until it ends, so
-frequent searches would only take time.
+"""Number of new objects after which Python's garbage collector runs. Objects of a compiler live until its end, so
+frequent runs would only take time.
 """
 TICK = 1.0
 """Interval, in seconds, between two progress reports."""
 
 Report = Callable[[int | None, float], None]
-"""Function that gets the progress of a compilation: the number of functions compiled, None while another process
-compiles, and the seconds since the compilation or the wait began.
+"""Function that is called with the progress of a compilation.
+
+Its arguments are the number of functions compiled, None while another process compiles, and the seconds since the
+compilation or the wait began.
 """
 
 
 def kernels_for(record: System, *more: str, settings: Settings | None = None) -> tuple[str, ...]:
-    """Return the parts that cells of a system need with these settings, and ``more``.
+    """Return the names of the parts of the kernels that cells of a system need besides CELLS, and ``more``.
 
-    They are arguments of the functions below. The part that observes motions is the same for every system.
+    They are arguments of ``compile_once`` and ``compile_notice``. The part that observes motions is the same for every
+    system.
     """
     more = (*more, OBSERVED) if settings is not None and settings.observe else more
     if record.has_modes:
@@ -87,18 +90,18 @@ def kernels_for(record: System, *more: str, settings: Settings | None = None) ->
 
 
 def compile_notice(*more: str) -> str:
-    """Return a line of text that tells the waiting user what ``compile_once`` does."""
+    """Return a line of text about what ``compile_once`` is going to do, for a user who waits."""
     if not _missing(more):
         return "loading the kernels"
     return "compiling the kernels, once for this version" if _cache() else "compiling the kernels"
 
 
 def compile_once(*more: str, report: Report | None = None) -> None:
-    """Make sure that the kernels of cells, and ``more``, are in the cache on disk, which other processes read.
+    """Compile the kernels of cells, and the parts ``more``, into the cache on disk unless it has them.
 
-    The kernels serve every system, see ``kernels_for``, and all settings. Processes of one host, or with one cache
-    folder, wait for the first of them. A child process compiles, since compiling takes twice the memory of solving.
-    ``report`` is called about every second. Nothing is done without a cache folder.
+    Other processes read the cache. The kernels serve every system, see ``kernels_for``, and all settings. Processes of
+    one host, or with one cache folder, wait for the first of them. A child process compiles, since compiling takes
+    twice the memory of solving. ``report`` is called about every second. Nothing is done without a cache folder.
     """
     folder = _cache()
     if folder is None or not _missing(more):
@@ -117,7 +120,7 @@ def compile_once(*more: str, report: Report | None = None) -> None:
 def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bool:
     """Call ``warm_up`` in a child process that sees the same modules; return True if it completed.
 
-    Otherwise each process compiles the kernels that it needs.
+    After a failure each process compiles the kernels that it needs.
     """
     begin, path = time.monotonic(), os.pathsep.join(filter(None, sys.path))
     with subprocess.Popen(
@@ -139,14 +142,14 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
 
 
 def main() -> None:
-    """Call ``warm_up`` for the parts in the arguments; write the number of compiled functions about every second."""
+    """Compile the parts named in the arguments; write the number of compiled functions to stdout about every second."""
     from numba.core import event
 
     class CompileCounter(event.Listener):
         n_compiled, reported = 0, time.monotonic()
 
         def on_start(self, event: object) -> None:
-            """Do nothing: a function is counted when its compilation ends."""
+            """Do nothing: a function is counted at the end of its compilation."""
 
         def on_end(self, event: object) -> None:
             self.n_compiled += 1
@@ -160,7 +163,9 @@ def main() -> None:
 
 
 def _a_batch(record: System) -> tuple[Any, Any]:
-    """Return a batch of the default cell of a system, with no periods, and an empty array of rows."""
+    """Return a batch of one cell, the default cell of a system, with no periods to simulate, and an empty array of
+    rows.
+    """
     from workers.cell.interval import batch_of
     from workers.kernel.motion import motions_at
 
@@ -170,10 +175,11 @@ def _a_batch(record: System) -> tuple[Any, Any]:
 
 
 def warm_up(*parts: str) -> None:
-    """Compile or load the kernels of cells by solving one period of a cell, in which every kernel is called.
+    """Compile the kernels of cells, and the named parts, or load them from the cache, by calling every kernel once.
 
-    Kernels of attractors need all attractors of a cell, kernels of orbits a short branch. The compiled types depend
-    neither on the system nor on the settings, which only change the lengths of arrays.
+    One period of a cell is solved. Kernels of attractors need all attractors of a cell, kernels of orbits a short
+    branch. The compiled types depend neither on the system nor on the settings, which only change the lengths of
+    arrays.
     """
     from workers.tile import solve_tile
 
@@ -194,7 +200,7 @@ def warm_up(*parts: str) -> None:
 
 
 def _reach_attractors(record: System, values: dict[str, float]) -> None:
-    """Find all attractors of a cell with one orbit, and the scale for comparing twins."""
+    """Call the kernels of ATTRACTORS: find all attractors of a cell, and the scale for comparing states."""
     from workers.attractors.coexistence import solve_attractors
     from workers.attractors.initial_states import AttractorSettings
     from workers.kernel.cell_loops import scale_of
@@ -205,7 +211,10 @@ def _reach_attractors(record: System, values: dict[str, float]) -> None:
 
 
 def _end_no_cells(record: System) -> None:
-    """Call the kernels that the default cell does not reach: those of rest, of flight without a contact, of growth."""
+    """Call the kernels that the default cell does not reach: those of rest, of flight without a contact, of growth.
+
+    They get an empty list of cells.
+    """
     from workers.kernel.lanes.run import run_alone
     from workers.orbit.escape import escaping
     from workers.orbit.linear import contact_free, linear_orbits
@@ -224,7 +233,7 @@ def _end_no_cells(record: System) -> None:
 
 
 def _observe_a_period() -> None:
-    """Observe a period of a machine with modes: all other machines are observed in the same way."""
+    """Call the kernels of OBSERVED for a period of a machine with modes; they are the same for all other machines."""
     from workers.cell.observables import observe_orbits
 
     record = System.from_mapping(WITH_MODES)
@@ -233,7 +242,7 @@ def _observe_a_period() -> None:
 
 
 def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
-    """Follow a short branch of the orbit of a cell, and its motion between events."""
+    """Call the kernels of ORBITS: follow a short branch of a cell's orbit, and compute its state at a section."""
     from workers.continuation import branch, family_of, orbit_from_state, section_state
     from workers.tile import solve_tile
 
@@ -245,14 +254,14 @@ def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
 
 
 def _move_within_a_period(record: System) -> None:
-    """Compute the motion of a portrait, from its initial state."""
+    """Call the kernels of PATHS: compute a motion from its initial state, with states between the events."""
     from atlas.cell.trajectory import path_of
 
     path_of(record, {p.name: p.default for p in record.parameters}, 1, None)
 
 
 def _wait_for(lock: FileLock, report: Report | None) -> None:
-    """Acquire the lock; report the wait while another process holds it."""
+    """Acquire the lock of the cache, and report the wait while another process holds it."""
     begin = time.monotonic()
     while True:
         try:
@@ -267,13 +276,15 @@ def _wait_for(lock: FileLock, report: Report | None) -> None:
 
 
 def _missing(more: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the parts missing in the cache; all parts without a cache."""
+    """Return those of the parts CELLS (or MODES) and ``more`` that the cache lacks; all of them without a cache."""
     folder, parts = _cache(), more if MODES in more else (CELLS, *more)
     return tuple(part for part in parts if folder is None or not _marker(folder, part).exists())
 
 
 def _marker(folder: Path, part: str) -> Path:
-    """Return the file that marks a part as compiled for this kind of processor and these settings of Numba."""
+    """Return the path of the file that marks a part as compiled for this kind of processor and these settings of
+    Numba.
+    """
     name = f"compiled-{part}-" if part else "compiled-"
     return folder / f"{name}{compiled_for()}"
 

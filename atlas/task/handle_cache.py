@@ -1,4 +1,4 @@
-"""Cache of the handles of the stores that this process uses; a handle is read again if its store has changed."""
+"""Cache of the handles of stores that this process uses. A handle is replaced if the root of its store has changed."""
 
 from collections.abc import Hashable
 from threading import Lock
@@ -9,15 +9,20 @@ from atlas.store.store import ROOT, AtlasStore, open_store
 from atlas.store.tile_records import TileRecords
 
 MAX_HANDLES = 16
-"""Maximum number of handles kept; a worker of a long-lived cluster serves many runs, each of a store and its origin."""
+"""Maximum number of handles in the cache. A worker of a long-lived cluster serves many runs, each with one or two
+stores.
+"""
 _reading = Lock()
 _records: dict[StoreBackend, TileRecords] = {}
 _headers: dict[tuple[StoreBackend, float], tuple[Hashable, AtlasStore]] = {}
-"""Handles by backend and patience, each with the version of the store's root."""
+"""Cached handles by backend and patience, each with the version that the root of its store had."""
 
 
 def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> AtlasStore:
-    """Return the handle of a store, after one check of its root's version. Raise errors like ``open_store``."""
+    """Return the handle of a store from the cache, or open the store if its root has changed.
+
+    ``patience`` is the time in seconds to wait for a server that does not respond. Raise errors like ``open_store``.
+    """
     backend = with_patience(open_backend(store), patience)
     version = backend.version(ROOT)
     with _reading:  # the threads of a worker ask at the same time
@@ -33,7 +38,7 @@ def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) ->
 
 
 def cached_records(handle: AtlasStore) -> TileRecords:
-    """Return the tile records of a store that no longer changes."""
+    """Return the tile records of a store that no longer changes, read once per process."""
     if handle.backend not in _records:
         _records[handle.backend] = TileRecords(handle)
     return _records[handle.backend]

@@ -1,4 +1,8 @@
-"""The last step of an atlas of basins: final labels of attractors beyond the reference set, and their table."""
+"""The last step of an atlas of basins: final labels of all initial states, and the table of the attractors.
+
+While tiles are solved, cells get labels of a reference set of attractors that is found first. Other attractors get
+their labels here.
+"""
 
 import itertools
 import math
@@ -21,17 +25,17 @@ if TYPE_CHECKING:
     from workers.attractors.basins import AttractorTable
 
 POINTS = 256
-"""Number of section states of each attractor in the table."""
+"""Number of section states, one per forcing period, that the table has of each attractor."""
 BYTES_OF_LABEL = 64
-"""Memory, in bytes, per cell to be labelled, besides its state: labels, position and order."""
+"""Memory, in bytes, that labelling takes per cell besides the cell's state: labels, position and order."""
 
 
 def complete_basins(handle: AtlasStore) -> dict[Index, Rows]:
     """Give every initial state its final label, write the table of the attractors, and return changed tile records.
 
-    Cells are labelled in the order of the plane, so labels do not depend on tiles, workers and interruptions. They are
-    labelled by bands of tiles, so memory does not grow with the plane, see ``labelling_bytes``. Nothing is done while
-    tiles are unfinished, or after completion.
+    Cells are labelled in the order of the plane, so labels do not depend on tiles, workers and interruptions. This is
+    done for one band of tiles, those with equal leading indices, after another, so memory does not grow with the plane,
+    see ``labelling_bytes``. Nothing is done while tiles are unfinished, or after completion.
     """
     from workers.attractors.basins import AttractorTable, fixed_values
 
@@ -60,9 +64,9 @@ def complete_basins(handle: AtlasStore) -> dict[Index, Rows]:
 
 
 def labelling_bytes(handle: AtlasStore) -> int:
-    """Return the maximum memory of ``complete_basins`` besides a tile, in bytes.
+    """Return the maximum memory, in bytes, of ``complete_basins``, not counting the results of one tile.
 
-    The maximum is that of a band entirely beyond the table.
+    It is reached if no cell of a band of tiles has its final label yet.
     """
     n_leading = _leading(handle.tile)
     cells = math.prod(handle.tile[:n_leading]) * math.prod(handle.spec.shape[n_leading:])
@@ -70,9 +74,9 @@ def labelling_bytes(handle: AtlasStore) -> int:
 
 
 def _leading(tile: tuple[int, ...]) -> int:
-    """Return the number of leading dimensions that separate bands.
+    """Return the number of leading indices that tiles of one band have in common.
 
-    In plane order one band ends before the next begins.
+    In the order of the plane, all cells of a band then come before those of the next.
     """
     return next((dim for dim, side in enumerate(tile) if side > 1), len(tile) - 1) + 1
 
@@ -84,10 +88,14 @@ def _labels(handle: AtlasStore, index: tuple[int, ...]) -> NDArray[np.int64]:
 def _label_band(
     handle: AtlasStore, table: "AttractorTable", reference: int, band: list[Index], records: dict[Index, Rows]
 ) -> Iterator[tuple[Index, NDArray[np.int64]]]:
-    """Yield (tile, labels) for each tile of a band once its final labels are written.
+    """Yield (tile, labels) for each tile of a band, once its final labels are written.
 
-    Changed tile records are added to ``records``. Cells beyond the ``reference`` attractors are labelled, also cells
-    that a dead attempt has labelled before.
+    table      table of the attractors, to which new ones are added
+    reference  number of attractors that were known before any cell was solved
+    band       indices of the tiles
+    records    tile records by tile, to which changed ones are added
+
+    Only cells with other attractors are labelled, also if a killed attempt has labelled them before.
     """
     from workers.attractors.basins import labels_beyond
 
@@ -109,7 +117,7 @@ def _label_band(
 
 
 def _places(handle: AtlasStore, index: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the positions of the cells of a mask of a tile, in the order of the plane."""
+    """Return the positions, in the order of the plane, of the cells of a tile that are True in a mask."""
     begins = [part.start for part in handle.tiling.at(index).slices]
     return np.ravel_multi_index(tuple((np.argwhere(mask) + begins).T), handle.spec.shape)
 
@@ -117,9 +125,9 @@ def _places(handle: AtlasStore, index: tuple[int, ...], mask: NDArray[np.bool_])
 def _columns(
     handle: AtlasStore, table: "AttractorTable", cells: Mapping[int, int], solved: int
 ) -> Mapping[str, StoredArray]:
-    """Return the variables of the table, from the cells of each label.
+    """Return the columns of the table of attractors. ``cells`` has the number of cells by label.
 
-    Shares refer to the ``solved`` initial states, those within the stops.
+    Shares refer to the ``solved`` initial states, those between the stops.
     """
     from workers.attractors.basins import section_points
 

@@ -1,4 +1,6 @@
-"""Reuse of cells from an origin: the known cells of a tile are copied bit for bit, the others are solved."""
+"""Reuse of cells from the origin of a store, an older store: known cells of a tile are copied, the others are
+solved.
+"""
 
 import itertools
 from collections.abc import Iterator
@@ -20,7 +22,7 @@ from workers.results import PENDING, REGIME, empty_results
 
 
 class SharedPositions(NamedTuple):
-    """Positions, along an axis, of the values that two atlases share bit for bit.
+    """Positions, along an axis, of the values that two atlases share bit for bit; both arrays have the same order.
 
     cells          positions in the new atlas
     origin_cells   positions in the old atlas
@@ -31,7 +33,7 @@ class SharedPositions(NamedTuple):
 
 
 class ReusedCells(NamedTuple):
-    """The known results of a tile before solving.
+    """What is known of a tile before it is solved: results of the origin, the store whose cells are taken over.
 
     arrays    results of all its cells; in a retried atlas also the budgets of the coming solution
     regime    regime of each cell in the origin, PENDING if unknown
@@ -46,7 +48,10 @@ class ReusedCells(NamedTuple):
 
 
 def reuse_cells(handle: AtlasStore, slices: Slices) -> ReusedCells:
-    """Return the known results of a tile. Raise RunError if the store has an origin that no longer exists."""
+    """Return what is known of the cells in these slices: the results of the store's origin, if it has one.
+
+    Raise RunError if the origin no longer exists.
+    """
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(handle.spec.variables, shape, handle.spec.extra_sizes)
     arrays |= {allowance.name: np.full(shape, allowance.fill, allowance.dtype) for allowance in handle.allowances}
@@ -66,7 +71,7 @@ def reuse_cells(handle: AtlasStore, slices: Slices) -> ReusedCells:
 
 
 def shared(old: Spec, new: Spec) -> tuple[SharedPositions, ...]:
-    """Return the positions of the values that two atlases of the same axes share, by dimension."""
+    """Return, for each dimension, the positions of the values that two atlases of the same axes share."""
     pairs = zip(reversed(new.axes), reversed(old.axes), strict=True)
     return tuple(
         SharedPositions(*np.intersect1d(ours.values, theirs.values, assume_unique=True, return_indices=True)[1:])
@@ -75,7 +80,11 @@ def shared(old: Spec, new: Spec) -> tuple[SharedPositions, ...]:
 
 
 def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
-    """Copy the origin's finished cells in a tile into its arrays."""
+    """Copy the results of the origin's finished cells into ``arrays``, those of the cells in ``slices`` of the new
+    store.
+
+    Raise ChunkError if the origin's cells contradict their record.
+    """
     first = True
     for index, cells, origin_cells in _meetings(shared(origin.spec, handle.spec), slices, origin.tile):
         if not is_done(origin, index):
@@ -97,9 +106,14 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
 def _meetings(
     dimensions: tuple[SharedPositions, ...], slices: Slices, tile: tuple[int, ...]
 ) -> Iterator[tuple[tuple[int, ...], list[NDArray[np.intp]], list[NDArray[np.intp]]]]:
-    """Yield the tiles of the origin that share cells with a tile of the store.
+    """Yield the tiles of the origin that share cells with a tile of the new store.
 
-    Each entry is the index of the origin's tile, the shared cells in the store's tile, and those in the origin's tile.
+    dimensions  shared positions along each dimension
+    slices      cells of the new store's tile
+    tile        shape of the origin's tiles
+
+    Each entry has the index of the origin's tile, and along each dimension the positions of the shared cells in the new
+    store's tile and in the origin's tile.
     """
     parts = []
     for (cells, origin_cells), part, length in zip(dimensions, slices, tile, strict=True):
@@ -128,9 +142,9 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
 
 
 def count_shared(origin: AtlasStore, spec: Spec, finished_tiles: set[tuple[int, ...]]) -> int:
-    """Return the number of finished cells of the origin in an extended atlas.
+    """Return the number of finished cells of the origin that an extended atlas shares.
 
-    ``finished_tiles`` are those of the origin.
+    ``finished_tiles`` are the indices of the origin's finished tiles.
     """
     counts = [
         np.bincount(positions // length, minlength=tiles)

@@ -1,4 +1,6 @@
-"""Solving a block of cells of a spec, one by one, or in whole lines along a continued axis."""
+"""Solve a block of cells of a spec, each by itself, or whole lines in which each cell starts from the cell before
+it.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -19,12 +21,17 @@ if TYPE_CHECKING:
 
 
 def kernels_of(spec: Spec) -> tuple[str, ...]:
-    """Return the parts of the kernels that cells of the spec need, see ``compile.kernels_for``."""
+    """Return the names of the compiled kernels that cells of the spec need, see ``compile.kernels_for``."""
     return kernels_for(spec.system_def, *(() if spec.attractors is None else (ATTRACTORS,)), settings=spec.settings)
 
 
 def solve_independent(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Results":
-    """Return results of the spec's kind, with these settings, of cells that do not depend on each other."""
+    """Solve cells that do not depend on each other, and return their results.
+
+    spec      spec of the atlas: one attractor per cell, all attractors, or basins
+    params    parameters by name, arrays that broadcast
+    settings  settings of the cells, which may differ from the spec's
+    """
     if spec.basins:
         from workers.attractors.basins import solve_basins
 
@@ -39,7 +46,7 @@ def solve_independent(spec: Spec, params: Mapping[str, Any], settings: Settings)
 
 
 def solve_block(spec: Spec, slices: Slices) -> "Results":
-    """Return the results of the cells in these slices.
+    """Solve the cells in these slices of the atlas and return their results.
 
     Along a continued axis a cell depends on all earlier cells of its line. Raise RunError for a part of a line.
     """
@@ -55,10 +62,11 @@ def solve_block(spec: Spec, slices: Slices) -> "Results":
 
 
 def solve_missing(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "NDArray[np.bool_]") -> "Results":
-    """Return the known results of the cells in these slices, with the cells of the mask ``due`` solved.
+    """Solve the cells of the mask ``due`` and return the results of all cells in these slices.
 
-    A cell depends only on its parameters, the settings and the solver. Cells known from another store therefore have
-    the values that they would get here. Budgets among the known arrays apply to each cell.
+    ``known`` are results of the other cells. A cell depends only on its parameters, the settings and the solver. Cells
+    known from another store therefore have the values that they would get here. Budgets among the known arrays apply to
+    each cell.
     """
     if due.all() and not any(allowance.name in known for allowance in ALLOWANCES):
         return solve_block(spec, slices)
@@ -74,7 +82,10 @@ def solve_missing(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "ND
 def _by_settings(
     spec: Spec, known: Mapping[str, Any], due: "NDArray[np.bool_]"
 ) -> "Iterator[tuple[Settings, NDArray[np.bool_]]]":
-    """Yield (settings, mask of the cells to solve with these settings); a retry gives cells different settings."""
+    """Yield (settings, mask) for each group of cells to be solved with the same settings.
+
+    Settings differ between cells if a retry has raised the budgets of some.
+    """
     allowances = [allowance for allowance in ALLOWANCES if allowance.name in known]
     if not allowances:
         yield from [(spec.settings, due)] if due.any() else []

@@ -1,4 +1,4 @@
-"""The reference to a run's store that jobs carry: it opens and checks the store."""
+"""The reference to the store of a run that jobs carry to the workers, which open and check the store by it."""
 
 import errno
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ class StoreFullError(RunError):
 
 @dataclass(frozen=True)
 class StoreRef:
-    """The store of the jobs of a run, as sent through the scheduler.
+    """The reference to the store of a run, as jobs carry it through the scheduler to the workers.
 
     store            path or URL, or backend
     run_id           identifier of the run that created the store
@@ -45,9 +45,9 @@ class StoreRef:
     lease: str = ""
 
     def open(self) -> AtlasStore:
-        """Return the handle of the store, see ``open_checked``, whose commits confirm the lease of the run.
+        """Return the handle of the store on this worker, with a backend that confirms the lease of the run.
 
-        They raise WorkerRefusedError if the run has lost its lease.
+        Its writes that finish a tile raise WorkerRefusedError if the run has lost its lease. See ``open_checked``.
         """
         with translate_file_errors(self.store):
             handle = open_checked(self.store, self.run_id, self.solver_version, self.patience)
@@ -58,14 +58,14 @@ class StoreRef:
         return handle.with_backend(handle.backend.with_lease(confirm))
 
     def write_part(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
-        """Store a part of a group."""
+        """Store an intermediate result of a search, as a part of a group."""
         with translate_file_errors(self.store):
             put_part(handle, group, name, data)
 
 
 @dataclass(frozen=True)
 class PartReport:
-    """The report of a finished job whose result is a part.
+    """The report of a finished job whose result is a part, an intermediate result in the store.
 
     index               index of the job
     name                name of the part
@@ -82,10 +82,10 @@ class PartReport:
 def open_checked(
     store: str | StoreBackend, run_id: str, solver_version: int, patience: float = SHORT_PATIENCE
 ) -> AtlasStore:
-    """Return the handle of the store of a run on this worker, see ``cached_handle``.
+    """Return the handle of a run's store, after checks that this worker may do jobs of the run.
 
-    Raise WorkerRefusedError if this worker has another solver, or sees no store or another one at the path. Raise
-    OSError if the store's disk or server refuses access.
+    Raise WorkerRefusedError if this worker has another solver version, or sees no store or another store at the path.
+    Raise OSError if the store's disk or server refuses access. See ``cached_handle``.
     """
     check_solver(solver_version)
     try:
@@ -109,7 +109,10 @@ def check_solver(version: int) -> None:
 
 @contextmanager
 def translate_file_errors(store: object) -> Iterator[None]:
-    """Convert file-system errors: StoreFullError without space, WorkerRefusedError without permission; others pass."""
+    """Convert file-system errors within the block into errors about jobs; other errors pass.
+
+    A lack of space becomes StoreFullError, a lack of permission WorkerRefusedError.
+    """
     try:
         yield
     except OSError as error:
@@ -122,7 +125,10 @@ def translate_file_errors(store: object) -> Iterator[None]:
 
 
 def stored_part(handle: AtlasStore, group: str, name: str) -> bytes:
-    """Return a part that a job has stored. Raise WorkerRefusedError if it is missing."""
+    """Return the bytes of a part, an intermediate result that another job has stored.
+
+    Raise WorkerRefusedError if it is missing.
+    """
     data = get_part(handle, group, name)
     if data is None:
         raise WorkerRefusedError(f"{handle.backend}: has no part {name}; check that the path is the same on every host")

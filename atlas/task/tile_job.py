@@ -1,4 +1,4 @@
-"""The jobs of a run as they are sent to workers, the work of each kind of job, and its report."""
+"""The jobs of a run as they are sent to workers, the functions that do them, and their reports."""
 
 import time
 from dataclasses import dataclass, field, replace
@@ -23,15 +23,15 @@ from workers.results import PENDING, REASON, REGIME, REGIMES, reason_counts
 Arrays = dict[str, np.ndarray]
 
 LABELS = -1
-"""Level of the job that labels basins."""
+"""Value of ``RunJob.level`` for the job that gives the cells of an atlas of basins their final labels."""
 
 
 @dataclass(frozen=True)
 class RunJob:
-    """A job sent to a worker, such as a tile of a store. ``attempt.execute_job`` executes it, also without a cluster.
+    """A job of a run, as sent to a worker. ``attempt.execute_job`` executes it, also without a cluster.
 
-    index       index of the tile, or of the chunk
-    store_ref   the store
+    index       index of the tile, or of the chunk of an overview
+    store_ref   reference to the store
     level       0 for a tile; above 0 for a chunk of that level of the overviews; LABELS for the final labels of basins
     """
 
@@ -40,7 +40,7 @@ class RunJob:
     level: int = 0
 
     def handle(self) -> AtlasStore:
-        """Return the handle of the store in its present state, whose commits confirm the lease of the run."""
+        """Return the handle of the store in its present state, with a backend that confirms the lease of the run."""
         return self.store_ref.open()
 
 
@@ -59,7 +59,7 @@ class TileReport:
     reused              number of cells copied from the origin of the store
     processor_seconds   processor time of the solver's thread, in seconds
     changed             number of cells solved again whose regime changed
-    record              record of the whole tile, see ``store.record_format``
+    record              tile record, with the counts and the digest of all its cells, see ``store.record_format``
     laws                use of the laws that are expressions, in the cells solved
     """
 
@@ -80,7 +80,7 @@ class TileReport:
 
 @dataclass(frozen=True)
 class DerivedReport:
-    """The report of a job other than a tile.
+    """The report of a job other than a tile: a chunk of the overviews, or the labels of basins.
 
     index     index of the job
     records   new tile records, as pairs of index and record
@@ -93,7 +93,7 @@ class DerivedReport:
 
 
 def make_chunk(job: RunJob) -> DerivedReport:
-    """Build a chunk of the overviews and return the report."""
+    """Build a chunk of the overviews, the coarser copies of the atlas, and return the report."""
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         try:
@@ -106,7 +106,9 @@ def make_chunk(job: RunJob) -> DerivedReport:
 
 
 def label_basins(job: RunJob) -> DerivedReport:
-    """Give the cells of an atlas of basins their final labels, and write the table of its attractors."""
+    """Give the cells of an atlas of basins their final labels, write the table of its attractors, and return the
+    report.
+    """
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         records = complete_basins(handle)
@@ -114,7 +116,9 @@ def label_basins(job: RunJob) -> DerivedReport:
 
 
 def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
-    """Solve the cells of a tile that are unknown in the store's origin, write the tile, and return its report."""
+    """Solve the cells of a tile that the store does not take over from its origin, write the tile, and return its
+    report.
+    """
     with translate_file_errors(job.store_ref.store):
         slices = handle.tiling.at(job.index).slices
         known = reuse_cells(handle, slices)
@@ -141,7 +145,10 @@ def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
 
 
 def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> Arrays:
-    """Return the known arrays with the cells of the mask ``due`` solved, chunk by chunk to limit the memory."""
+    """Solve the cells of the mask ``due`` and return the results of all cells in ``slices``.
+
+    ``known`` are results of the other cells. Cells are solved chunk by chunk to limit the memory.
+    """
     if spec.continuation is not None or max(due.shape) <= INNER_CHUNK:  # cells of a line depend on earlier ones
         return solve_missing(spec, slices, known, due)
     arrays = {name: values.copy() for name, values in known.items()}
@@ -155,10 +162,11 @@ def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> A
 
 
 def commit(handle: AtlasStore, job: RunJob, arrays: Arrays, source: AtlasStore | None = None) -> tuple[float, ...]:
-    """Write a tile, if its run still leases the store, and the overview chunk over it alone; return its record.
+    """Write a tile, if its run still leases the store, and return the tile's record.
 
-    ``source`` is a store with the same tile, whose objects are copied. A worker that is suspended between the
-    confirmation of the lease and the write writes too late, but the same bits as any other worker.
+    The chunk of the first overview over the tile is written, too, if it covers no other tile. ``source`` is a store
+    with the same tile, whose objects are copied. A worker that is suspended between the confirmation of the lease and
+    the write writes too late, but the same bits as any other worker.
     """
     record = write_tile(handle, job.index, arrays) if source is None else copy_tile(handle, source, job.index, arrays)
     pyramid_of(handle).build_chunk_over(job.index, arrays)
@@ -166,19 +174,26 @@ def commit(handle: AtlasStore, job: RunJob, arrays: Arrays, source: AtlasStore |
 
 
 def stored_tile(handle: AtlasStore, index: tuple[int, ...]) -> Arrays:
-    """Return all arrays of a finished tile."""
+    """Return all results of a finished tile by name."""
     return read_tile(handle, index)
 
 
 def record_in_report(handle: AtlasStore, index: tuple[int, ...], arrays: Arrays) -> tuple[float, ...]:
-    """Return the record of a tile with these arrays in the form of a report."""
+    """Return the record of a tile with these results as a tuple, the form in a report."""
     return tuple(record_of(handle, index, arrays).tolist())
 
 
 def make_report(
     handle: AtlasStore, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
 ) -> TileReport:
-    """Return the report of a tile with these arrays, for the cells of the mask ``solved``, without times."""
+    """Return the report of a tile, without times, from the results of its cells.
+
+    handle  the store
+    index   index of the tile
+    arrays  results of its cells
+    solved  mask of the cells that were solved, to which the report refers
+    record  record of the tile
+    """
     leading, system = handle.dominant_arrays(arrays), handle.spec.system_def
     codes = leading[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}

@@ -18,17 +18,16 @@ HEAD = (
 )
 
 BASIS = (
-    "Each entry unfolds into its commands, table and picture; where the axes of a source are known, the picture has"
-    " the same. A *closed form* follows from the equations that the work solves. `scripts/published/entries/` derives"
-    " it anew, so that symbols may differ from the work's, and `tests/project/test_published.py` checks it by"
-    " integrations and maps that share no code with the solver. Differences of at most {exact:g} from a closed form"
-    " count as agreement. In a checkout `python -m scripts.published` computes all entries again and writes"
-    " `docs/published.json`, the tables and this page; with names of entries it computes these alone.",
+    "Each entry unfolds into its commands, table and picture. A *closed form* follows from the equations that the work"
+    " solves. `scripts/published/entries/` derives it anew, in symbols of its own. `tests/project/test_published.py`"
+    " checks it by integrations and maps that share no code with the solver. Differences of at most {exact:g} from a"
+    " closed form count as agreement. In a checkout `python -m scripts.published` computes all entries again, or the"
+    " named ones.",
     "Left out are works whose numbers or parameters could not be confirmed (C. Weidemann et al., Nonlinear Dyn. 2025,"
     " doi 10.1007/s11071-025-10928-4; J. F. Mason and P. T. Piiroinen, SIAM J. Appl. Dyn. Syst. 8 (2009) 1694; C. Budd"
-    " and F. Dux, Phil. Trans. R. Soc. A 347 (1994) 365, whose laws of chatter are asymptotic), pictures without digits"
-    " (S. L. T. de Souza et al., Math. Probl. Eng. (2009) 290356), and friction that decays exponentially (bSTAB,"
-    " Nonlinear Dyn. 2021, doi 10.1007/s11071-021-06786-5), which is piecewise linear here.",
+    " and F. Dux, Phil. Trans. R. Soc. A 347 (1994) 365), and pictures without digits (S. L. T. de Souza et al., Math."
+    " Probl. Eng. (2009) 290356). bSTAB's example (Nonlinear Dyn. 2021, doi 10.1007/s11071-021-06786-5) is compared"
+    " [elsewhere](systems.md#machines-without-a-force).",
 )
 
 

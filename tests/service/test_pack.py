@@ -169,7 +169,7 @@ def test_a_store_that_a_run_is_at_work_on_is_not_packed(handle: store.AtlasStore
 
 def test_progress_counts_the_objects(handle: store.AtlasStore, tmp_path: Path) -> None:
     seen: list[str] = []
-    made = pack(handle.path, tmp_path / "b.zip", on_progress=lambda progress: seen.append(progress.stage))
+    made = pack(handle.path, tmp_path / "b.zip", on_progress=lambda progress: seen.append(str(progress)))
     assert seen[-1] == f"packing: {made.objects} of {made.objects} objects"
 
 

@@ -168,7 +168,7 @@ def test_a_log_gets_plain_lines_at_intervals(tmp_path: Path, plane: atlas.Spec, 
     with LogReporter(log, interval=0.0) as show:
         atlas.run(plane, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=show))
     assert "\x1b" not in log.getvalue()
-    assert log.getvalue().splitlines()[-1].startswith("9/9 tiles, 35/35 cells, ")
+    assert log.getvalue().splitlines()[-1].startswith("solving: 9/9 tiles, 35/35 cells, ")
 
 
 def test_a_tile_that_raises_is_reported_and_the_others_finish(

@@ -1,1 +1,1 @@
-"""The front end of both pages: JavaScript modules that draw planes from codes and numbers of their cells."""
+"""The JavaScript modules of the explorer's page and of the static page: they draw planes from numbers of cells."""

@@ -3,7 +3,7 @@
 export const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
 export const pixel = ([r, g, b]) => (0xff000000 | (b << 16) | (g << 8) | r) >>> 0;
 
-/** Return the position of a number between the limits of a colorbar: 0 to 1, less or more outside the limits. */
+/** Return the position of a number on a colorbar with these limits: 0 to 1, less or more outside the limits. */
 export function shareOf(bar, [low, high], value) {
   if (bar.scale === "two-sided") return value < 0 ? (0.5 / -low) * (value - low) : (0.5 / high) * value + 0.5;
   if (bar.scale !== "log") return high === low ? 0 : (value - low) / (high - low);
@@ -11,13 +11,13 @@ export function shareOf(bar, [low, high], value) {
   return (Math.log10(Math.max(value || bar.zero, low)) - least) / (Math.log10(high) - least);
 }
 
-/** Return true if a colorbar can have these limits. */
+/** Return true if a colorbar can have these limits on its scale. */
 export function fits(bar, [low, high]) {
   if (!(low < high)) return false;
   return bar.scale === "log" ? low > 0 : bar.scale !== "two-sided" || (low < 0 && high > 0);
 }
 
-/** Return the limits of a colorbar: the requested ones if they are possible, its own where the request is null. */
+/** Return the limits of a colorbar: those requested if they are possible, its own where a requested limit is null. */
 export function endsOf(bar, asked) {
   const own = bar.ends, ends = asked ? own.map((end, k) => asked[k] ?? end) : own;
   return fits(bar, ends) ? ends : own;
@@ -26,7 +26,7 @@ export function endsOf(bar, asked) {
 const STEPS = 512;
 const placed = (share, count) => Math.min(count - 1, Math.max(0, Math.floor(share * count)));
 
-/** Return the colours of a colorbar between these limits, from the lower one on. */
+/** Return the colours of a colorbar as pixels, from the lower limit to the upper. */
 export function tableOf(bar, [low, high]) {
   const table = (hex) => Uint32Array.from(hex.match(/.{6}/g), (color) => pixel(rgb(`#${color}`)));
   if (!bar.both || !(low < 0 && high > 0)) return table(bar.colors);
@@ -37,7 +37,7 @@ export function tableOf(bar, [low, high]) {
   });
 }
 
-/** Return the colour of a number on a colorbar. */
+/** Return a function that gives the colour, as a pixel, of a number on a colorbar with these limits. */
 export function coloring(bar, ends) {
   const table = tableOf(bar, ends);
   return (value) => table[placed(shareOf(bar, ends, Math.max(value, bar.scale === "log" ? 0 : ends[0])), table.length)];
@@ -62,7 +62,7 @@ export function colorsOf(map, codes, values, asked) {
   return colors;
 }
 
-/** Return true if a hatch inks a point of its pattern. */
+/** Return true if a hatch covers the point (x, y) of its pattern, which repeats after `size` pixels. */
 export function inkedBy(hatch, x, y, size, width) {
   const near = (value) => ((value % size) + size) % size < width;
   const square = (x - size / 2) ** 2 + (y - size / 2) ** 2;
@@ -70,7 +70,7 @@ export function inkedBy(hatch, x, y, size, width) {
     "-": near(y), "|": near(x), ".": square < width ** 2 }[hatch];
 }
 
-/** Return the pattern of each entry's hatch, as masks, and the pixels of the inks. */
+/** Return the hatches of a map's entries: the size of a pattern, and the mask and colour of each entry. */
 export function texturesOf(entries, ratio) {
   const size = Math.round(8 * ratio);
   const masks = entries.map(({ hatch }) => hatch && Uint8Array.from({ length: size * size }, (_, k) =>

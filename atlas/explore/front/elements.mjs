@@ -1,13 +1,13 @@
 // Creates elements of a page, and helps with canvases and animation frames.
 
-/** Return an element with these properties and children. */
+/** Return a new HTML element with the properties `given` and the children `inside`. */
 export function make(tag, given, ...inside) {
   const made = Object.assign(document.createElement(tag), given);
   made.append(...inside);
   return made;
 }
 
-/** Return the context of a canvas whose size is in pixels of the screen. */
+/** Give a canvas the resolution of the screen; return its context, its ratio of screen to CSS pixels, and its size. */
 export function fitted(canvas) {
   const ratio = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();
   canvas.width = Math.round(box.width * ratio);
@@ -17,7 +17,7 @@ export function fitted(canvas) {
   return { context, ratio, width: box.width, height: box.height };
 }
 
-/** Return a function that draws in the next frame, once for any number of calls; it is `due` until then. */
+/** Return a function that has `act` called in the next animation frame, once for any number of calls. */
 export function oncePerFrame(act) {
   const ask = () => {
     if (!ask.due) requestAnimationFrame(() => { ask.due = false; act(); });
@@ -26,7 +26,7 @@ export function oncePerFrame(act) {
   return ask;
 }
 
-/** Copy a text, and return whether that was possible. */
+/** Copy a text to the clipboard; return true if that was possible. */
 export async function copied(text) {
   if (navigator.clipboard) return navigator.clipboard.writeText(text).then(() => true, () => false);
   const box = document.body.appendChild(make("textarea", { value: text })); // plain HTTP has no clipboard

@@ -1,4 +1,4 @@
-// The legend of a map: its colorbar with its limits, its classes, and the curves over it, which are switched here.
+// The legend of a map: its colorbar with limits that can be changed, its classes, and a switch for each kind of curve.
 
 import { endsOf, fits, inkedBy, rgb, shareOf, tableOf } from "./colors.mjs";
 import { fitted, make } from "./elements.mjs";
@@ -101,8 +101,8 @@ function labelOf({ label }, enlarged) {
   return text;
 }
 
-/** Fill an element with the legend of a map; `look` gives the style, `change` changes it, and `enlarged` gives the
- * labels of classes whose single cells are drawn larger. */
+/** Fill an element with the legend of a map and of the `lines` over it. `look` returns the style of the plane, `change`
+ * is called with changed fields of it, and `enlarged` returns the labels of classes whose single cells are marked. */
 export function fillKey(key, map, lines, look, change, enlarged) {
   const { meaning, title, bar, legend } = map;
   key.replaceChildren(make("h2", { textContent: meaning }));
@@ -113,7 +113,7 @@ export function fillKey(key, map, lines, look, change, enlarged) {
   updateKey(key);
 }
 
-/** Update a legend to the new style. */
+/** Update all controls and drawings in a legend to the present style of the plane. */
 export function updateKey(key) {
   for (const element of key.querySelectorAll("*")) {
     if (element.update) element.update();

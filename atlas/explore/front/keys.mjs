@@ -6,7 +6,8 @@ import { scales, tell } from "./live.mjs";
 const SHARE = 0.1; // of the window, by which an arrow moves it
 const FACTOR = 1.25; // factor of one zoom step
 
-/** Handle keys and fingers, and put their requests into `heard`. */
+/** Listen to keys and fingers, and report to the server through the data of the model `heard`: new limits `x` and `y`
+ * of the window of `plot`, a chosen `cell`, or `escape`. */
 export function hearKeys({ heard, plot }) {
   const moves = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}
   window.addEventListener("keydown", (event) => {

@@ -19,7 +19,7 @@ let shown = null; // map that is drawn, its cells and their colours
 let enlarged = new Set(); // labels of classes whose single cells are drawn larger
 let pointer = null, turns = 0;
 
-/** Start once the document is ready. */
+/** Start to draw; called once the document is ready, with the models of Bokeh and the subject as JSON. */
 export function begin(given) {
   models = given;
   subject = JSON.parse(given.subject);
@@ -38,7 +38,7 @@ export function begin(given) {
 
 const query = () => queryOf(look);
 
-/** Change the style of the plane. */
+/** Change fields of the style of the plane, and show the plane in the new style. */
 function change(given) {
   look = changed(look, given);
   remember();
@@ -52,7 +52,7 @@ export function tell() {
   models.look.data = { query: [lastTold] };
 }
 
-/** Return the functions to and from the coordinates in which the axes are drawn. */
+/** Return, for each axis, the functions to and from the coordinate in which the axis is drawn. */
 export const scales = () => subject.axes.map(({ log }) => scaleOf(log));
 
 // Messages from the server
@@ -133,7 +133,8 @@ function cellAt(at) {
   return found.every((cell) => cell >= 0) ? found : null;
 }
 
-/** Return the index of the cell drawn at a cell of the viewport: a coarser cell if no finer one is known. */
+/** Return the values of the axes at the cell that is drawn at a cell of the viewport. If the viewport's own cell is not
+ * known, this is a coarser cell, of `stage` halvings of the full density. */
 function placeOf(cell, stage) {
   return held.axes.map(({ cuts, from, first }, along) => {
     const half = (1 << stage) >> 1, own = (((cell[along] + first + half) >> stage) << stage) - first;
@@ -145,7 +146,7 @@ function placeOf(cell, stage) {
 
 // Parts of the page
 
-/** Register an element as a part of the page. */
+/** Register an element as the part `name` of the page, such as the legend, and fill it. */
 export function take(name, element) {
   parts[name] = element;
   fill(name);
@@ -175,7 +176,7 @@ function fillMapKey(element) {
 
 const rowOf = (head, text, title = "") => make("tr", {}, make("td", { textContent: head }), make("td", { className: /^[−\d]/.test(text) ? "number" : "", title, textContent: text }));
 
-/** Fill an element with the clicked cell, as the server describes it; the title of a number has all its digits. */
+/** Fill an element with the results of the clicked cell from the server; the tooltip of a number has all its digits. */
 function fillCell(element) {
   const { caption, places, variables, values } = JSON.parse(element.dataset.given, (_, value) => value ?? NaN);
   const arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value]])), about = { ...subject, variables, arrays: {} };
@@ -232,7 +233,7 @@ function withToken(text) {
   return `?${text}${token ? `&token=${token}` : ""}`;
 }
 
-/** The custom element of a part of the page, wherever Bokeh puts it. */
+/** The custom element for parts of the page that this module fills, wherever Bokeh puts them. */
 export const Part = class extends HTMLElement {
   connectedCallback() {
     take(this.dataset.of, this);

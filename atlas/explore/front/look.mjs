@@ -8,10 +8,10 @@ import { unpacked } from "./numbers.mjs";
 const NUMBER = "number-", LOGARITHM = "-log";
 const isNumber = (look) => look.map.startsWith(NUMBER);
 
-/** Return the name of the map of a style. */
+/** Return the name of the map that a style chooses: a kind, or a variable with its scale. */
 export const mapName = (look) => look.map + (look.log && isNumber(look) ? LOGARITHM : "");
 
-/** Return the style that the parameters of an address give. */
+/** Return the style of a plane that an address gives; `given` are the URLSearchParams of the address. */
 export function lookOf(given) {
   const list = (name) => (given.get(name) || "").split(",").filter(Boolean);
   const end = (name) => (Number.isFinite(parseFloat(given.get(name))) ? Number(given.get(name)) : null), ends = [end("vmin"), end("vmax")];
@@ -19,7 +19,7 @@ export function lookOf(given) {
     overlays: list("overlay"), hidden: new Set(list("without")), ends: ends.some((end) => end !== null) ? ends : null };
 }
 
-/** Return the query of an address that gives a style. */
+/** Return the query of an address from which `lookOf` reads the style again. */
 export function queryOf(look) {
   const pairs = isNumber(look) ? [["kind", "scalar"], ["variable", look.map.slice(NUMBER.length)], ...(look.log ? [["log", "1"]] : [])] : [["kind", look.map]];
   for (const [name, list] of [["overlay", look.overlays], ["without", [...look.hidden]]])
@@ -28,13 +28,14 @@ export function queryOf(look) {
   return pairs.map(([name, value]) => `${name}=${encodeURIComponent(value).replaceAll("%2C", ",")}`).join("&");
 }
 
-/** Return a changed style; another map has its own colour limits. */
+/** Return a style with the fields of `given` changed; if they choose another map, its limits are its own ones. */
 export function changed(look, given) {
   const made = { ...look, ...given };
   return mapName(made) !== mapName(look) && !("ends" in given) ? { ...made, ends: null } : made;
 }
 
-/** Fill an element with the controls of a style: `maps` (name, label), a switch for logarithms, and `overlays`. */
+/** Fill an element with the controls of a style: a menu of `maps` (name, label), with `logs` a switch for logarithms,
+ * and a switch for each of `overlays`. `look` returns the style, and `change` is called with changed fields. */
 export function fillLook(element, { maps, overlays, logs }, look, change) {
   if (!element.firstChild) {
     const select = make("select", { ariaLabel: "map" });
@@ -61,14 +62,14 @@ export function fillLook(element, { maps, overlays, logs }, look, change) {
   updateKey(element);
 }
 
-/** Return the lines of all overlays of a style; `lines` are the lines of a page by the names of their overlays. */
+/** Return the lines, marks and their styles of all chosen overlays; `lines` are those of a page by overlay. */
 export function linesOf(look, lines) {
   const on = look.overlays.map((name) => lines[name]).filter(Boolean), all = (name) => on.flatMap((overlay) => overlay[name] || []);
   return { looks: Object.assign({}, ...on.map(({ looks }) => looks)), marks: Object.assign({}, ...on.map(({ marks }) => marks)),
     lines: all("lines"), corners: all("corners"), ends: all("ends") };
 }
 
-/** Return a function that unpacks an array by its name, once, in rows of this width. */
+/** Return a function that gives the array of a name, unpacked once; `packed` returns its bytes and its type. */
 export function reader(packed, width) {
   const read = new Map();
   return (name) => {
@@ -80,7 +81,8 @@ export function reader(packed, width) {
   };
 }
 
-/** Return a map with the arrays of its cells, including the given further ones, and with their colours. */
+/** Return a map with what is drawn of it: the codes, numbers and colours of its cells, and regions if the style has
+ * their borders. `numbers` returns an array by name; `more` names arrays beyond those of the map. */
 export async function shownAs(map, look, numbers, more, hasRegions) {
   const names = [...new Set([...map.needs, ...more])], borders = hasRegions && look.overlays.includes("boundaries");
   const [codes, regions, ...several] = await Promise.all([map.codes, borders ? "regions" : map.codes, ...names].map(numbers));

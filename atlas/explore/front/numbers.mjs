@@ -2,13 +2,13 @@
 
 const TYPES = { float64: Float64Array, int32: Int32Array, int8: Int8Array, uint8: Uint8Array, uint16: Uint16Array };
 
-/** Return the bytes that a deflated array of bytes contains. */
+/** Return the bytes that deflated bytes contain. */
 export async function inflated(packed) {
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Return the numbers of a numpy type, in rows of this width, that packed bytes contain. */
+/** Return the array that packed bytes contain: numbers of a numpy type, in rows of `width` numbers. */
 export async function unpacked(packed, type, width) {
   const planes = await inflated(packed), Type = TYPES[type];
   const size = Type.BYTES_PER_ELEMENT, bytes = new Uint8Array(planes.length);

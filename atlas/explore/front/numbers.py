@@ -1,4 +1,7 @@
-"""Arrays of cells as deflated bytes, rounded only as far as a size limit requires; ``numbers.mjs`` unpacks them."""
+"""Packing arrays of cells into few bytes for a page, rounded only as far as a size limit requires.
+
+``numbers.mjs`` unpacks them in the browser.
+"""
 
 import base64
 import zlib
@@ -13,7 +16,7 @@ from atlas.render.coded_maps import CodedMap
 MANTISSA = 52
 """Number of mantissa bits of a double."""
 DIGITS = {24: 7, 17: 5, 14: 4, 10: 3}
-"""Numbers of mantissa bits that may be kept, with the significant digits that they hold.
+"""Significant digits of a rounded float by the number of mantissa bits that are kept.
 
 Rounding changes a value by at most half a unit of the last of these digits.
 """
@@ -21,7 +24,7 @@ Rounding changes a value by at most half a unit of the last of these digits.
 
 @dataclass(frozen=True)
 class PackedArray:
-    """An array as bytes, or as text.
+    """A packed array of cells, as bytes or as text.
 
     type   name of the array's type in numpy
     data   the deflated bytes
@@ -34,12 +37,12 @@ class PackedArray:
 
     @property
     def text(self) -> str:
-        """The bytes in base64."""
+        """The packed bytes in base64."""
         return base64.b64encode(self.data).decode()
 
     @property
     def length(self) -> int:
-        """Number of characters of the text."""
+        """Number of characters of ``text``."""
         return 4 * -(-len(self.data) // 3)
 
     @property
@@ -49,11 +52,11 @@ class PackedArray:
 
 
 def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> PackedArray:
-    """Return an array (y, x), packed, with ``bits`` mantissa bits of floats.
+    """Return an array (y, x) of cells, packed; floats are rounded to ``bits`` mantissa bits.
 
-    The bits of a value are taken as a whole number. Each number is stored as its difference from the number below in y,
-    modulo the range of its type: neighbouring cells are alike, so the differences have few digits. Bytes of equal
-    significance are stored together.
+    The bits of a value are taken as a whole number. Each number is stored as its difference from the number in the row
+    before, modulo the range of its type: neighbouring cells are alike, so the differences have few digits. Bytes of
+    equal significance are stored together.
     """
     stored_values = round_mantissa(values, bits) if values.dtype.kind == "f" else values
     stored_values = stored_values.astype(np.uint8) if stored_values.dtype.kind == "b" else stored_values
@@ -64,7 +67,10 @@ def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> PackedArray:
 
 
 def add_codes(packed: dict[str, PackedArray], coded_map: CodedMap) -> str:
-    """Add the codes of a map to the arrays, and return their name there: the name of an equal array if there is one."""
+    """Add the colour codes of a map's cells to the packed arrays, and return their name there.
+
+    If an equal array is there already, return its name instead.
+    """
     codes = pack(coded_map.codes)
     name = next((name for name, known in packed.items() if known.data == codes.data), f"map-{coded_map.name}")
     packed.setdefault(name, codes)
@@ -72,7 +78,7 @@ def add_codes(packed: dict[str, PackedArray], coded_map: CodedMap) -> str:
 
 
 def unpack(packed: PackedArray, width: int) -> NDArray[np.generic]:
-    """Return the packed array (y, x) with ``width`` columns, as the page reads it."""
+    """Return the array (y, x), with ``width`` columns, of packed values, exactly as the browser reads it."""
     size = np.dtype(packed.type).itemsize
     planes = np.frombuffer(zlib.decompress(packed.data), np.uint8).reshape(size, -1)
     steps = planes.T.copy().view(f"<u{size}").reshape(-1, width).astype(f"u{size}")
@@ -80,7 +86,10 @@ def unpack(packed: PackedArray, width: int) -> NDArray[np.generic]:
 
 
 def round_mantissa(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
-    """Return values rounded to ``bits`` mantissa bits, to nearest, ties to even. Values that are not finite stay."""
+    """Return values rounded to ``bits`` mantissa bits, to nearest, ties to even.
+
+    Infinite values and NaN stay, and so do values that rounding would make infinite.
+    """
     exact = np.asarray(values, np.float64)
     if bits >= MANTISSA:
         return exact
@@ -94,15 +103,16 @@ def round_mantissa(values: NDArray[np.generic], bits: int) -> NDArray[np.float64
 def pack_within(
     arrays: Mapping[str, Callable[[], NDArray[np.generic]]], limit: int, last: str, first: str
 ) -> tuple[dict[str, PackedArray], list[str]]:
-    """Return packed arrays of at most ``limit`` characters as text, if possible, and the names of omitted arrays.
+    """Return packed arrays with at most ``limit`` characters of text together, if possible, and the names left out.
 
     arrays   functions that return the arrays, by name
     limit    maximum number of characters
     last     name of the array that loses digits last
     first    name of the array that loses digits first
 
-    The arrays are exact if they fit. Otherwise floats lose digits, one array after the other, always one with the most
-    digits: ``first``, then the largest text, and ``last`` at the end. An array with no more digits to lose is omitted.
+    The arrays are exact if they fit. Otherwise floats lose digits step by step. Each step shortens an array among those
+    with the most digits: ``first``, then the longest text, and ``last`` at the end. An array with no more digits to
+    lose is left out.
     """
     packed = {name: pack(read()) for name, read in arrays.items()}
     left_out: list[str] = []

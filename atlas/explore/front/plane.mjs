@@ -1,8 +1,9 @@
-// Draws a plane in a 2D context: its cells, its curves and marks, its axes.
+// Draws a plane of an atlas in a canvas: its cells, its curves and marks, its axes.
 //
-// A scene is { axes: [x, y], window, plot, shown, lines, names, hidden, mark }. An axis is as `drawnAxis` makes it; the
-// window is in the drawn coordinates; the plot is the area in CSS pixels; shown is { map, codes, colors,
-// regions }; lines are as atlas.render.coded_lines returns them.
+// A scene is all that is drawn: { axes: [x, y], window, plot, shown, lines, names, hidden, mark }. An axis is as
+// `drawnAxis` makes it; the window has limits in the drawn coordinates; the plot is the area in CSS pixels. shown is
+// { map, codes, colors, regions }, by cell; lines are as atlas.render.coded_lines returns them. names
+// are labels; hidden are kinds of curves; mark has the edges of the chosen cell.
 
 import { pixel, rgb, texturesOf } from "./colors.mjs";
 import { number } from "./words.mjs";
@@ -11,7 +12,7 @@ const BORDER = "#101418", OUTLINE = "#1a2433";
 const POINT = 96 / 72; // CSS pixels
 const VISIBLE = 2 * POINT, MOST_MARKS = 300; // as in atlas.render.raster
 
-/** Return the functions to and from the coordinate in which an axis is drawn. */
+/** Return the functions to and from the coordinate in which an axis is drawn, its logarithm if `log`. */
 export const scaleOf = (log) => (log ? [Math.log, Math.exp] : [(value) => value, (value) => value]);
 
 /** Return an axis of `count` cells between its `edges`, all or the outer two, with functions `to` and `from` the drawn
@@ -24,7 +25,7 @@ export function drawnAxis(axis) {
   return { ...axis, to, from, cuts };
 }
 
-/** Return the cell of an axis that contains a value; -1 if there is none. */
+/** Return the index of the cell along an axis that contains a value; -1 if the value lies outside. */
 export function cellWith({ cuts, to }, value) {
   const place = to(value);
   let [low, high] = [0, cuts.length - 1];
@@ -47,7 +48,7 @@ function cellsAlong(cuts, [low, high], count, falling) {
   return found;
 }
 
-/** Return the pixels of the visible cells, `ratio` to a CSS pixel; transparent where there are no cells. */
+/** Return the image of the visible cells, with `ratio` pixels to a CSS pixel; transparent where there are no cells. */
 export function pixelsOf({ axes: [x, y], window, plot, shown }, ratio) {
   const columns = Math.max(1, Math.round(plot.width * ratio)), rows = Math.max(1, Math.round(plot.height * ratio));
   const image = new ImageData(columns, rows), pixels = new Uint32Array(image.data.buffer), count = x.cuts.length - 1;
@@ -82,11 +83,11 @@ function position({ window, plot }, at, along) {
   return along ? plot.top + (1 - share) * plot.height : plot.left + share * plot.width;
 }
 
-/** Return the position on the page of a value of the first or the second axis. */
+/** Return the position, in CSS pixels, of a value of the first (along = 0) or the second axis (along = 1). */
 export const place = (scene, value, along) => position(scene, scene.axes[along].to(value), along);
 
-/** Return the connected regions of classes whose single cells are drawn larger, by label: [first and last column,
- * first and last row, colour] of each region.
+/** Return the connected regions of cells in classes whose single cells are drawn larger, by the label of the class. A
+ * region is given by [first column, last column, first row, last row, colour].
  */
 export function specksOf({ map: { entries }, codes }, width) {
   const found = {}, seen = new Uint8Array(codes.length), label = (cell) => entries[codes[cell]].enlarged;
@@ -110,7 +111,7 @@ export function specksOf({ map: { entries }, codes }, width) {
   return found;
 }
 
-/** Enlarge the regions that would be invisible, unless they are too many; return the labels of their classes. */
+/** Mark the regions of `specksOf` that are too small to be seen, unless they are too many; return their labels. */
 function drawSpecks(pen, scene) {
   const { axes, plot, shown } = scene, drawn = new Set();
   shown.specks ??= specksOf(shown, axes[0].cuts.length - 1);
@@ -137,7 +138,7 @@ function drawSpecks(pen, scene) {
   return drawn;
 }
 
-/** Draw the cells of a scene and the lines over them; return the labels of the classes with enlarged cells. */
+/** Draw the cells of a scene and the lines over them; return the labels of classes with cells marked as too small. */
 export function drawPlane(pen, scene, ratio) {
   const { left, top, width, height } = scene.plot;
   pen.putImageData(pixelsOf(scene, ratio), Math.round(left * ratio), Math.round(top * ratio));
@@ -153,7 +154,7 @@ export function drawPlane(pen, scene, ratio) {
   return enlarged;
 }
 
-/** Return round numbers between two limits, about `most` at most. */
+/** Return round numbers between two limits, about `most` of them; with `log` on a logarithmic scale. */
 export function ticks(low, high, most, log) {
   if (log && high / low > 8) {
     const found = [];
@@ -237,7 +238,7 @@ function drawNames(pen, scene) {
   }
 }
 
-/** Draw the end of a curve. */
+/** Draw the dot that marks the end of a curve. */
 export function dot(pen, x, y) {
   pen.beginPath();
   pen.arc(x, y, 2.5, 0, 7);
@@ -247,7 +248,7 @@ export function dot(pen, x, y) {
   pen.stroke();
 }
 
-/** Draw a mark with an outline, from polygons in units of 7 pixels. */
+/** Draw a white marker with a black outline at (x, y); `shape` are its polygons in units of 7 pixels. */
 export function outlined(pen, shape, x, y) {
   pen.beginPath();
   for (const part of shape) {

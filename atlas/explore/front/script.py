@@ -1,4 +1,4 @@
-"""The JavaScript modules that both pages run, joined into one script, and the style sheet of their legends."""
+"""The JavaScript modules of the explorer's page and of the static page, joined into one script each."""
 
 import html
 import json
@@ -8,21 +8,27 @@ from importlib.resources import files
 from typing import Any
 
 SHARED = ("numbers.mjs", "colors.mjs", "words.mjs", "elements.mjs", "plane.mjs", "key.mjs", "look.mjs")
-"""The modules of both pages, in an order in which each follows its imports."""
+"""The JavaScript modules of both pages, each after the modules that it imports."""
 
 
 LIVE = ("live.mjs", "keys.mjs", "widgets.mjs")
-"""The modules of the explorer's page only."""
+"""The JavaScript modules of the explorer's page only."""
 TICKS = "return atlasPage.tickText(tick, base, unit, decimals)"
 
 
 def program(package: str, *names: str) -> str:
-    """Return the shared modules and those of a package as one script, in which their exports are names."""
+    """Return the modules that both pages share and the modules ``names`` of a package as one script.
+
+    In the script all exports are plain names.
+    """
     return "".join(_joined(text) for text in (*_texts(__package__, SHARED), *_texts(package, names)))
 
 
 def page_script() -> str:
-    """Return the script of the explorer's page. Its object ``atlasPage`` has the exports of the page's own modules."""
+    """Return the script of the explorer's page.
+
+    Its object ``atlasPage`` has the exports of the modules that only this page has.
+    """
     source = "".join(_texts(__package__, LIVE))
     names = ", ".join(re.findall(r"^export (?:function|const) (\w+)", source, re.MULTILINE))
     return (
@@ -32,10 +38,10 @@ def page_script() -> str:
 
 
 def call(function: str, **arguments: Any) -> Any:
-    """Return the callback with which Bokeh calls an exported function.
+    """Return the Bokeh callback that calls an exported function of the page's script in the browser.
 
-    function   name of the function
-    arguments  models and values that the function receives, besides the model that has changed
+    function    name of the function
+    arguments   models and values that the function receives, besides the model that has changed
     """
     from bokeh.models import CustomJS
 
@@ -43,12 +49,12 @@ def call(function: str, **arguments: Any) -> Any:
 
 
 def html_part(name: str, data: Any = None) -> str:
-    """Return the HTML of a part of the page that a module fills from the JSON ``data``."""
+    """Return the HTML element that the script's module for parts of class ``name`` fills from the JSON ``data``."""
     return f'<atlas-part class="{name}" data-of="{name}" data-given="{html.escape(json.dumps(data))}"></atlas-part>'
 
 
 def legend_css() -> str:
-    """Return the style sheet of the legend of a map."""
+    """Return the style sheet of a map's legend."""
     return files(__package__).joinpath("key.css").read_text("utf-8")
 
 

@@ -1,4 +1,4 @@
-// Actions of the explorer's widgets in the browser: functions of their models and the model that has changed.
+// Actions of the explorer's widgets in the browser. Bokeh calls each with given models and the model that has changed.
 
 import { copied } from "./elements.mjs";
 import { scales } from "./live.mjs";
@@ -8,7 +8,7 @@ const SECONDS = 3; // duration of one forcing period on the screen
 const find = (node) => [...node.querySelectorAll("*")].flatMap(
   (element) => [element, ...(element.shadowRoot ? find(element.shadowRoot) : [])]);
 
-/** Give each focusable element the name of the nearest enclosing model that has a name. */
+/** Give each focusable element without a label the name, for screen readers, of the nearest enclosing element. */
 export function nameAll() {
   const above = (element) => element.parentNode instanceof ShadowRoot ? element.parentNode.host : element.parentElement
   const used = "input, select, [role=slider], .bk-events, .bk-spin-btn"
@@ -26,7 +26,7 @@ export function nameAll() {
   setTimeout(name, 1000)
 }
 
-/** Return the text of a tick of an axis, counted from a base. */
+/** Return the text of an axis tick: (tick - base) / unit with a number of decimals. */
 export function tickText(tick, base, unit, decimals) {
   const text = Math.abs(unit) === 1 && base === 0
       ? (Math.abs(tick) >= 1e5 || (tick !== 0 && Math.abs(tick) < 1e-4) ? tick.toExponential(2)
@@ -35,7 +35,7 @@ export function tickText(tick, base, unit, decimals) {
   return text.replace("-", "\u2212")
 }
 
-/** Mark the point under the pointer, on the plane or a diagram of the cut, on the other plots, too. */
+/** Mark the point of the cut that is nearest to the pointer, in the plane and in all diagrams of the cut. */
 export function linkPointer({ line, plane, axis, spans_of, dot, of_plane }, cb_obj) {
   const [x0, x1] = line.data.xs[0] ? [line.data.xs[0][0], line.data.xs[0].at(-1)] : [NaN, NaN]
   const [y0, y1] = line.data.ys[0] ? [line.data.ys[0][0], line.data.ys[0].at(-1)] : [NaN, NaN]
@@ -57,7 +57,7 @@ export function linkPointer({ line, plane, axis, spans_of, dot, of_plane }, cb_o
   dot.setv({data: {at_x: [at(0, share)], at_y: [at(1, share)]}}, {sync: false})
 }
 
-/** Move the machine along its orbit while a toggle is active. */
+/** Animate the machine along its orbit while the toggle `cb_obj` is active. */
 export function play({ path, here, machine, pace }, cb_obj) {
   let begin = null
   const step = (now) => {
@@ -73,10 +73,10 @@ export function play({ path, here, machine, pace }, cb_obj) {
   requestAnimationFrame(step)
 }
 
-/** Copy the value of a model to the clipboard. */
+/** Copy the value, or the first tag, of the model `source` to the clipboard. */
 export const copy = ({ source }) => copied(source.value ?? source.tags[0]);
 
-/** Save a file. */
+/** Save the file whose name and data URL a Bokeh data source holds. */
 export function download(_, { data }) {
   const link = document.createElement("a");
   link.href = data.href[0];
@@ -84,7 +84,7 @@ export function download(_, { data }) {
   link.click();
 }
 
-/** Give a model a CSS class while another model has a property. */
+/** Give `model` the CSS class `name` while a property of the model `cb_obj` is set, or with `unless` is not set. */
 export function mark({ model, name, property, unless }, cb_obj) {
   model.css_classes = Boolean(cb_obj[property]) === !unless ? [name] : [];
 }

@@ -36,8 +36,8 @@ function isResult(subject, name, k, values) {
   return name === regime || (subject.variables[name].regimes.includes(values[regime][k]) && !Number.isNaN(value));
 }
 
-/** Return the results in cell k of these variables, each with its label, its value as text and its name. An error
- * is left out beside its exponent, whose text contains the error.
+/** Return the results in cell k of the variables `names`: for each its label, its value as text and its name. The error
+ * of an exponent is left out if the exponent is among them, whose text contains the error.
  */
 export function resultsOf(subject, names, k, values) {
   const { largest, error } = subject.special;
@@ -45,7 +45,7 @@ export function resultsOf(subject, names, k, values) {
     .map((name) => [subject.variables[name].label, inWords(subject, name, k, values), name]);
 }
 
-/** Return the regime of cell k and the results that a map shows of the cell. */
+/** Return a sentence with the regime of cell k and the results that a map shows of the cell. */
 export function sentence(subject, map, k, values) {
   const { regime } = subject.special, rest = map.needs.filter((name) => name !== regime);
   return [subject.regimes[values[regime][k]], ...resultsOf(subject, rest, k, values).map(([label, text]) => `${label} ${text}`)].join("; ");

@@ -1,1 +1,1 @@
-"""One HTML file that shows an atlas in any browser, without a server and without this package."""
+"""An atlas as one HTML file that any browser shows, without a server and without this package."""

@@ -1,4 +1,4 @@
-"""The texts of a page on an atlas: its axes, variables and parameters, and what to cite."""
+"""The texts of the HTML page of an atlas: its axes, variables and parameters, its origin, and what to cite."""
 
 import shlex
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,12 @@ _PROVENANCE = {
 
 
 def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
-    """Return an atlas as plain JSON for the page's program."""
+    """Return what the page's script must know of an atlas, as plain JSON: axes, fixed parameters, and words.
+
+    ds       the plane of the atlas
+    handle   handle of its store
+    axes     axes of the plane
+    """
     record, attractor = handle.spec.system_def, ds.attrs.get(ATTRACTOR)
     names = {meant.code: meant.text for meant in record.regime.codes}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
@@ -43,7 +48,7 @@ def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, Plane
 
 
 def meanings() -> dict[str, Any]:
-    """Return the regimes and the reasons in words, and the names of variables that a page treats specially."""
+    """Return the regimes and the reasons for them in words, and the names of variables that a page treats specially."""
     special = {"regime": REGIME, "reason": REASON, "largest": LARGEST, "error": ERROR}
     return {
         "regimes": {meant.code: meant.text for meant in REGIME.codes},
@@ -53,10 +58,10 @@ def meanings() -> dict[str, Any]:
 
 
 def command(ds: "xr.Dataset", handle: AtlasStore) -> str:
-    """Return the command that solves a cell again, without the values of the axes.
+    """Return the shell command that solves a cell of the atlas again, without the values of the axes.
 
-    The command is empty if cells start from a state that the page does not have: on one of several attractors, or on a
-    neighbour's.
+    The command is empty if cells start from a state that the page does not have. Such a state lies on one of several
+    attractors, or is the end of a neighbouring cell's motion.
     """
     spec = handle.spec
     if spec.coexistence or spec.continuation is not None:
@@ -68,10 +73,10 @@ def command(ds: "xr.Dataset", handle: AtlasStore) -> str:
 
 
 def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
-    """Return a variable as plain JSON: its label with its unit, True for a flag, and the regimes in which it is a
-    result.
+    """Return what the page's script must know of a variable, as plain JSON.
 
-    ``endless`` is True if values below zero stand for infinity.
+    It holds the label with its unit, True for a flag, and the regimes in which the variable is a result. ``endless`` is
+    True if values below zero stand for infinity.
     """
     meant = variable_of(ds, name)
     return {
@@ -83,14 +88,14 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
 
 
 def provenance(ds: "xr.Dataset", handle: AtlasStore) -> dict[str, str]:
-    """Return the origin of the numbers, by names on the page."""
+    """Return the origin of the numbers, such as digest, solver version and sources, as texts by name."""
     cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in handle.spec.axes)
     named = {"cells": cells} | {_PROVENANCE[key]: str(ds.attrs[key]) for key in _PROVENANCE if key in ds.attrs}
     return {name: named[name] for name in ("atlas", *named) if name in named}
 
 
 def citation(ds: "xr.Dataset", handle: AtlasStore) -> str:
-    """Return what to cite, as BibTeX."""
+    """Return what to cite for the atlas, as BibTeX entries."""
     return bibtex(handle.spec.system_def, software_version(str(ds.attrs.get("software", ""))), handle.solver_version)
 
 

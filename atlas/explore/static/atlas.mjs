@@ -1,4 +1,4 @@
-// The atlas of the page, and the numbers of its cells, which are unpacked at their first use.
+// The atlas that the page shows: its description, its axes, and the arrays of its cells, unpacked at their first use.
 
 import { reader } from "../front/look.mjs";
 import { drawnAxis } from "../front/plane.mjs";

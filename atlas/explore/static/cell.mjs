@@ -1,4 +1,4 @@
-// Shows the chosen cell with all its numbers, and the precision of the numbers.
+// Shows the chosen cell of the static page with all its numbers, and the precision of the page's numbers.
 
 import { copied, make } from "../front/elements.mjs";
 import { number, resultsOf } from "../front/words.mjs";
@@ -6,7 +6,7 @@ import { LARGEST, NX, PENDING, REGIME, atlas, axes, by, numbers } from "./atlas.
 
 const isCoarse = () => Math.max(...atlas.block) > 1;
 
-/** Return the position of a cell as text. */
+/** Return the values of the axes at a cell, given by its column and row, as text. */
 export const placeOf = (cell) => axes.map((axis, along) => `${axis.symbol} = ${number(axis.values[cell[along]])}`).join(", ");
 
 async function allNumbers() {
@@ -37,7 +37,8 @@ function coexisting(k, arrays) {
   return [make("p", { className: "note", textContent: "Its attractors; below, all numbers of the first:" }), make("table", { className: "all" }, make("tr", {}, ...heads), ...rows)];
 }
 
-/** Show a cell or no cell, if the choice is still the same once the numbers are read. */
+/** Show all numbers of a cell, given by its column and row, or a hint if it is null. Do nothing if the function `stays`
+ * says, once the numbers are read, that another cell has been chosen. */
 export async function drawCell(cell, stays) {
   const panel = by("cell"), hint = "Click a cell to see all its numbers.";
   if (!cell) return panel.replaceChildren(make("p", { className: "note", textContent: hint }));
@@ -57,7 +58,7 @@ export async function drawCell(cell, stays) {
     make("code", { textContent: line }), copying("copy command", () => line));
 }
 
-/** Return a button that copies a text. */
+/** Return a button with a label that copies the text which the function `text` returns. */
 export function copying(label, text) {
   const button = make("button", { type: "button", textContent: label });
   button.onclick = async () => {
@@ -67,7 +68,7 @@ export function copying(label, text) {
   return button;
 }
 
-/** Show how exact the numbers are. */
+/** Fill in the fixed parameters of the page, and how exact its numbers are. */
 export function describe() {
   const { fixed, variables, others, arrays, leftOut, block, attractor } = atlas;
   by("fixed").append(...fixed.flatMap(({ symbol, value, meaning }, k) =>

@@ -1,4 +1,4 @@
-// The page of an atlas: it draws the map of the cells in any window, reads cells out and keeps the view in the address.
+// The static page of an atlas: it draws a map in any window, shows numbers of cells, and keeps the view in the address.
 
 import { fitted, oncePerFrame } from "../front/elements.mjs";
 import { fillKey, updateKey } from "../front/key.mjs";

@@ -46,11 +46,11 @@ SIZE = 1000.0, 800.0
 MAX_CELLS = 1 << 20
 """Maximum number of cells of a page; a larger atlas is shown by an overview."""
 COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
-"""The results of further attractors that a page lists beside the attractor that it shows."""
+"""Results of attractors after the first of a cell that a page lists beside the attractor that it shows."""
 PROGRAM = ("atlas.mjs", "cell.mjs", "page.mjs")
-"""The modules of the static page only, in this order."""
+"""JavaScript modules of the static page only, in the order in which they are joined."""
 _EACH = 300
-"""Maximum number of bytes that a page has around an array."""
+"""Maximum number of bytes of HTML around an array of a page."""
 
 
 def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_cells: int = MAX_CELLS) -> Path:
@@ -75,7 +75,7 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
 
 
 def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS) -> str:
-    """Return the page as text; arguments and errors are those of ``write_page``."""
+    """Return the HTML page of an atlas as text; arguments and errors are those of ``write_page``."""
     ds = select_dominant(every)
     _check_plane(ds)
     handle = handle_of(ds)
@@ -120,7 +120,11 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS
 
 
 def lines_of(ds: "xr.Dataset", visible: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the overlays that can be drawn on maps of these cells, by name, and the arrays that they need."""
+    """Return the overlays that can be drawn on maps of a plane, by name, and the arrays that they need.
+
+    ds        the dataset of the atlas, which may have curves
+    visible   the cells that the page shows
+    """
     view = MapView(KIND_TABLE["period"], ds, Plane.from_dataset(visible, ()), PictureRequest(STANDARD))
     lines, arrays = dict[str, Any](), dict[str, Any]()
     for name in MAP_OVERLAYS:
@@ -144,9 +148,10 @@ def _check_plane(ds: "xr.Dataset") -> None:
 
 
 def _cells(ds: "xr.Dataset", limit: int) -> tuple["xr.Dataset", tuple[int, ...]]:
-    """Return the cells of a page, loaded, and the number of cells of the atlas (x, y) for which each stands.
+    """Return the cells that a page shows, loaded, and how many cells of the atlas along x and y each stands for.
 
-    The cells have all variables with one number per cell. Raise InputError if there are too many cells and no overview.
+    The cells have all variables with one number per cell, and are those of an overview if the atlas has more than
+    ``limit`` cells. Raise InputError if there are too many cells and no overview.
     """
     across, up = axis_names(ds)
     names = [str(name) for name in ds.data_vars if {*ds[name].dims} == {across, up}]
@@ -169,7 +174,10 @@ def _cells(ds: "xr.Dataset", limit: int) -> tuple["xr.Dataset", tuple[int, ...]]
 
 
 def _others(every: "xr.Dataset") -> dict[str, Any]:
-    """Return arrays that describe the attractors after the first in an atlas of all attractors, as ``largest-1``."""
+    """Return functions that read the results of further attractors, for a page of an atlas of all attractors.
+
+    Their names have the attractor's index, such as ``largest-1`` for the second attractor.
+    """
     names = [name for name in COEXISTING if name in every]
     arrays: dict[str, Any] = {}
     for index in range(1, every.sizes[ATTRACTOR]):
@@ -190,7 +198,7 @@ def _values(visible: "xr.Dataset", name: str) -> Any:
 def _filled(
     described: Mapping[str, Any], words: Mapping[str, Any], maps: list[CodedMap], arrays: Mapping[str, PackedArray]
 ) -> str:
-    """Return the whole page."""
+    """Return the whole page: the HTML template filled with descriptions, texts, maps and packed arrays."""
     content = {
         **described,
         "maps": [coded_map.described for coded_map in maps],

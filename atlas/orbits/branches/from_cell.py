@@ -1,4 +1,4 @@
-"""Branches from the orbit of one cell, after validation of the request."""
+"""Branches of periodic orbits that start from the orbit of one cell, after validation of the request."""
 
 from typing import TYPE_CHECKING
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 MAX_BRANCHES = 20
 """Maximum number of branches that are followed from one cell, the first one included."""
 MAX_IMPACTS = 64
-"""Maximum number of impacts of the orbits that are followed from events."""
+"""Maximum number of impacts of the orbits whose branches fork off at bifurcations."""
 
 
 def tree_from(
     seed: BranchSeed, along: str, window: tuple[float, float], switch: bool = False, limit: int = MAX_BRANCHES
 ) -> "BranchTree":
-    """Return the branch of a cell's orbit in one parameter; with ``switch`` also branches that begin on it.
+    """Return the branch of a cell's orbit in one parameter; with ``switch`` also the branches that fork off.
 
     seed    the orbit
     along   the parameter
     window  (low, high) limits of the parameter
-    switch  True to follow branches that begin at events
+    switch  True to follow also the branches that begin at bifurcations and other events
     limit   maximum number of branches
 
     Raise InputError for an unknown parameter, or one on which no orbit depends, and if the orbit cannot be followed.
@@ -46,7 +46,9 @@ def tree_from(
 
 
 def observed_of(seed: BranchSeed, observe: str | None) -> Observable | None:
-    """Return the observable with this name. Raise InputError if the cell's machine does not have it."""
+    """Return the observable with this name, None if ``observe`` is None. Raise InputError if the machine does not have
+    it.
+    """
     if observe is None:
         return None
     try:
@@ -56,7 +58,9 @@ def observed_of(seed: BranchSeed, observe: str | None) -> Observable | None:
 
 
 def checked_window(seed: BranchSeed, along: str, window: tuple[float, float]) -> tuple[float, float]:
-    """Return the limits of the parameter. Raise InputError unless they increase, are valid, and contain the cell."""
+    """Return the given limits of the parameter. Raise InputError unless they increase, are valid, and contain the
+    cell.
+    """
     record = seed.system
     check_names("parameter", [along], [p.name for p in record.parameters])
     if along in record.states:

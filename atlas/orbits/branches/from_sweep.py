@@ -1,4 +1,4 @@
-"""Branches through all periodic cells of a sweep, each followed once, and the branches that begin at their events."""
+"""Branches through all periodic cells of a one-parameter sweep, each followed once, and the branches that fork off."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -21,26 +21,28 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MAX_BRANCHES = 100
-"""Maximum number of branches that are followed through a sweep: more could not be distinguished."""
+"""Maximum number of branches that are followed through a sweep. More could not be distinguished in a picture."""
 MAX_IMPACTS = 12
 """Maximum number of impacts of the orbits that are followed.
 
 Orbits with more impacts, mostly late in a cascade, would crowd the picture.
 """
 NEAR_BRANCH = 1e-3
-"""Distance of section states, relative to their extent, below which an orbit is on a branch without further check.
+"""Distance from a branch, relative to the extent of its states, below which a state is on the branch without further
+check.
 
-The error of a straight line between two points of a branch is usually smaller.
+The branch is interpolated linearly between two points. The error of this interpolation is usually smaller.
 """
 
 _STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
 
 
 def tree_through(sweeps: Sequence["xr.Dataset"]) -> BranchTree:
-    """Return the branches of proven orbits in sweeps of one axis, and the branches that begin on them.
+    """Return the branches of the periodic orbits found in one-parameter sweeps, and the branches that fork off.
 
-    There are up to MAX_BRANCHES branches, of orbits with up to MAX_IMPACTS impacts. A cell whose orbit, or its mirror
-    image, is on a branch already adds none. Raise InputError if no parameter is swept, and if an atlas has no states.
+    There are up to MAX_BRANCHES branches, of orbits with up to MAX_IMPACTS impacts. No branch is started from a cell
+    whose orbit, or its mirror image, is on a branch already. Raise InputError if no parameter is swept, and if an atlas
+    has no states.
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds.attrs), axis_names(ds)
@@ -76,7 +78,11 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> BranchTree:
 
 
 def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Yield the periodic cells: the longest run of neighbours of one class first, and its middle first."""
+    """Yield the periodic cells, as dicts of their results, in the order in which they are tried as starts of branches.
+
+    Runs of neighbouring cells with equal period, impacts and symmetry come in order of length, the longest first. The
+    middle cell of a run comes first.
+    """
     read = ds[list(stored)].sortby(along).load()
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *stored)}
     impacts = columns["impacts_upper"] + columns["impacts_lower"]
@@ -90,7 +96,7 @@ def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str]) -> Iterator[dict
 
 
 def _is_covered(tree: BranchTree, cell: dict[str, Any], value: float) -> bool:
-    """Return True if a cell's orbit, or its mirror image, is on a branch of a tree."""
+    """Return True if a cell's orbit, or its mirror image, is on a branch of a tree at the cell's parameter value."""
     n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
     state = np.asarray(cell["state"], dtype=np.float64)
     alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in {symmetric, 1}}
@@ -106,7 +112,10 @@ def _is_covered(tree: BranchTree, cell: dict[str, Any], value: float) -> bool:
 
 
 def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
-    """Return True if a section state (2d,) lies on a branch or its mirror image, interpolated between points."""
+    """Return True if a section state (2d,) at a parameter value lies on a branch or on its mirror image.
+
+    The branch is interpolated between points; NEAR_BRANCH is the tolerance.
+    """
     for k, share in branch.crossings(value):
         for sections in (branch.sections, branch.mirrored):
             if sections is not None:

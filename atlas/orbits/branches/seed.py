@@ -1,4 +1,4 @@
-"""The seed of a branch: the proven orbit of a cell, solved here or stored in an atlas."""
+"""The orbit from which a branch starts: the proven orbit of a cell, solved here or stored in an atlas."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class BranchSeed:
-    """A periodic orbit of a system.
+    """A periodic orbit of a system, from which a branch starts.
 
     system  the system
     values  value of each of its parameters
@@ -37,7 +37,8 @@ class BranchSeed:
 def seed_of_point(
     parameters: Mapping[str, Any], system: str | Mapping[str, Any] | System = DEFAULT, settings: Settings | None = None
 ) -> BranchSeed:
-    """Return the orbit of a cell that is solved here; ``parameters`` has those other than the defaults.
+    """Solve a cell with the given parameters and return its orbit. Parameters that are left out have their default
+    values.
 
     Raise InputError for invalid parameters, and if the cell's motion is not periodic.
     """
@@ -65,7 +66,9 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> BranchSeed:
 
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> BranchSeed:
-    """Return the orbit of a cell with these results. Raise InputError, naming the cell's regime, if it has none."""
+    """Return the orbit of a cell from the cell's results by name. Raise InputError, naming the cell's regime, if it has
+    none.
+    """
     from atlas.orbits.stored_orbits import NEEDED, orbits_of
     from workers.continuation import family_of
     from workers.continuation.equilibria import equilibrium_of

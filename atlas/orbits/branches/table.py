@@ -1,4 +1,4 @@
-"""Branches as tables: one of branches, one of solution points, one of events."""
+"""Branches of periodic orbits as pandas tables: one of branches, one of solution points, one of events."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class BranchTable:
-    """Branches of periodic orbits of a system in one parameter.
+    """Branches of periodic orbits of a system in one parameter, with their tables.
 
     system      the system
     parameters  values of all other parameters
     along       the parameter
     window      (low, high) limits of the parameter
     traced      the branches with their orbits, impact by impact
-    untried     events whose branch was requested and is missing
+    untried     events at which a branch was to be followed and is missing
     observable  observable that is plotted in place of the gap coordinate at sections; points have its values too
 
     ``branches``, ``points`` and ``events`` are pandas frames.
@@ -57,7 +57,7 @@ class BranchTable:
 
     @classmethod
     def from_tree(cls, tree: "BranchTree", observable: Observable | None = None) -> Self:
-        """Return the branches of a tree that has grown."""
+        """Return the table of a tree of branches that have been followed."""
         others = {name: value for name, value in tree.values.items() if name != tree.along}
         return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried), observable)
 
@@ -70,8 +70,8 @@ class BranchTable:
         impacts_upper  number of its impacts at the upper stop
         impacts_lower  number of its impacts at the lower stop
         symmetric      True if the orbit is its own mirror image
-        leaves         branch that this branch leaves, -1 for none
-        at             kind of event at which it leaves
+        leaves         branch from which this branch forks off, -1 for none
+        at             kind of event at which it forks off
         points         number of points
         first_end      why it ends at its first point: edge, closed, budget, stalled, inadmissible, shorter_orbit, or a
                        kind of event
@@ -126,7 +126,9 @@ class BranchTable:
 
     @cached_property
     def events(self) -> "pandas.DataFrame":
-        """The table of events, one row per event, in order along each branch; two branches that meet have one each.
+        """The table of events, such as bifurcations and grazes, one row per event, in order along each branch.
+
+        An event at which two branches meet has a row for each. The columns are:
 
         branch         number of the branch
         kind           kind of the event
@@ -141,7 +143,7 @@ class BranchTable:
         impacts_lower  its impacts at the lower stop
         symmetric      True if it is its own mirror image
         cycle_period   period of a cycle without a force, in units of time
-        leaving        branch of this table that leaves at the event, -1 for none
+        leaving        branch of this table that forks off at the event, -1 for none
         """
         import pandas
 
@@ -151,7 +153,9 @@ class BranchTable:
         return pandas.DataFrame(list(self._events()), columns=columns)
 
     def gap_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
-        """Yield the gap coordinate (N, n) at the sections of a branch, and of its mirror image if there is one."""
+        """Yield the gap coordinate (N, n) at the n sections of each of a branch's N orbits, then of their mirror
+        images, if any.
+        """
         rows = machine.gap_rows(self.system, {**self.parameters, self.along: branch.values})
         for states in (branch.sections, branch.mirrored):
             if states is not None:
@@ -160,7 +164,7 @@ class BranchTable:
     def plotted_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
         """Yield the plotted values (N, K) of a branch, and of its mirror image if there is one; NaN for missing values.
 
-        Values of neighbouring points that belong together have the same column.
+        A row has the values of one orbit, a column one line of the plot.
         """
         if self.observable is None:
             yield from self.gap_values(branch)
@@ -184,7 +188,10 @@ class BranchTable:
                 yield align_rows(observed[self.observable.variable], self.observable.modulus)
 
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
-        """Yield (stability, line) of the plotted values over the parameter, lines (N, 2), also of mirror images."""
+        """Yield the lines (N, 2) of the plotted values over the parameter, each with True if its orbits are stable.
+
+        Lines of mirror images are included.
+        """
         jump = math.inf if self.observable is None else 0.5 * self.observable.modulus
         for branch in self.traced:
             for values in self.plotted_values(branch):
@@ -196,7 +203,7 @@ class BranchTable:
                                 yield stable, piece
 
     def event_places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
-        """Yield the kind of each event and its positions (n, 2) over the parameter, also of its mirror image."""
+        """Yield the kind of each event and the positions (n, 2) at which it is plotted, also of its mirror image."""
         for branch in self.traced:
             for values in self.plotted_values(branch):
                 for k, event in zip(branch.event_indices, branch.run.events, strict=True):
@@ -204,14 +211,14 @@ class BranchTable:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """All that decides these branches: the system, where they are followed, and from which orbit."""
+        """All that determines these branches: system, parameters, limits, and the first orbit."""
         start = self.traced[0].sections[0].tolist()
         where = {"parameters": dict(self.parameters), "along": self.along, "window": list(self.window)}
         return identity(self.system.to_resolved()) | where | {"start": start, "branches": len(self.traced)}
 
     @property
     def digest(self) -> str:
-        """Digest of all that decides these branches."""
+        """Digest of ``identity``, that is of all that determines these branches."""
         return digest_of(self.identity)
 
     def _points(self) -> Iterator[tuple[Any, ...]]:
@@ -227,7 +234,7 @@ class BranchTable:
         return (*_PATTERN, CYCLE_PERIOD.name) if self.system.definition.unforced else _PATTERN
 
     def _pattern_values(self, point: "SolutionPoint", itinerary: "Itinerary") -> tuple[Any, ...]:
-        """Return the values of ``_pattern``."""
+        """Return the values of the columns ``_pattern`` at a point: period, impacts, symmetry, a cycle's duration."""
         return (*pattern(itinerary), *[cycle_period(point, itinerary)][: self.system.definition.unforced])
 
     def _events(self) -> Iterator[tuple[Any, ...]]:
@@ -248,13 +255,15 @@ class BranchTable:
 
 
 MAX_VALUES = 256
-"""Maximum number of values of an observable that are shown of an orbit."""
+"""Maximum number of values of an observable, such as impact phases, that are shown for one orbit."""
 
 
 def align_rows(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """Return values (N, K) of neighbouring orbits, each row rotated in time to fit the row before it best.
+    """Rotate the values (N, K) of consecutive orbits so that each column changes as little as possible from row to row.
 
-    Values are modulo ``turn`` if that is finite. A row with another number of values than the row before is unchanged.
+    Row k has the values of an observable at the successive impacts of orbit k; rotating changes the impact that is
+    first. Values are modulo ``turn`` if that is finite. A row with another number of values than the row before is
+    unchanged.
     """
     rolled = values.copy()
     for k in range(1, len(rolled)):
@@ -272,14 +281,18 @@ _PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
 
 
 def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
-    """Return period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
+    """Return period, impacts at the upper and at the lower stop, and symmetry of an orbit with this itinerary.
+
+    An itinerary is a sequence of impacts and other events.
+    """
     return itinerary.sections, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
 
 
 def orbit_name(itinerary: "Itinerary", system: System) -> str:
-    """Return the name of an orbit of a system: n-p-q, and symmetric or not.
+    """Return the name of an orbit of a system as text: n-p-q, and "symmetric" if it is.
 
-    Without a force it is a cycle n-p-q, or an equilibrium, which has no events.
+    n is the period, p and q are the impacts at the upper and the lower stop. Without a force it is a cycle n-p-q, or an
+    equilibrium, which has no impacts and no other events.
     """
     unforced = system.definition.unforced
     if unforced and not itinerary.sides:
@@ -291,21 +304,25 @@ def orbit_name(itinerary: "Itinerary", system: System) -> str:
 def modulus(point: "SolutionPoint", itinerary: "Itinerary") -> float:
     """Return the largest modulus of the multipliers of an orbit over one repetition of an itinerary.
 
-    The multipliers of a point are those of one turn, which is half of a symmetric orbit; the itinerary may repeat a
-    shorter orbit. The modulus is inf if an impact has no speed. The multiplier 1 along a cycle without a force is left
-    out.
+    An itinerary is a sequence of impacts and other events. The multipliers of a point are those of one turn, which is
+    half of a symmetric orbit; the itinerary may repeat a shorter orbit. The modulus is inf if an impact has no speed.
+    The multiplier 1 along a cycle without a force is left out.
     """
     with np.errstate(over="ignore"):
         return float(np.max(np.abs(point.multipliers), initial=0.0) ** _turns(point, itinerary))
 
 
 def cycle_period(point: "SolutionPoint", itinerary: "Itinerary") -> float:
-    """Return the duration of a cycle over one repetition of an itinerary; NaN for other orbits."""
+    """Return the period, in units of time, of a cycle over one repetition of an itinerary; NaN for other orbits."""
     return float(point.orbit.length) * _turns(point, itinerary)
 
 
 def _turns(point: "SolutionPoint", itinerary: "Itinerary") -> float:
-    """Return how many turns of a point's orbit make up one repetition of an itinerary."""
+    """Return how many turns of a point's orbit make up one repetition of an itinerary.
+
+    A turn is the stored part of an orbit, half of a symmetric one. An itinerary is a sequence of impacts and other
+    events.
+    """
     turn = point.orbit.itinerary
     if itinerary.is_cycle:
         return len(itinerary.sides) * (1 + itinerary.symmetric) / len(turn.sides)

@@ -1,4 +1,8 @@
-"""A tree of branches: followed from orbits, with further branches from their events."""
+"""A tree of branches of periodic orbits in one parameter: branches of given orbits, and branches that fork off at their
+events.
+
+An event of a branch is a bifurcation, a graze or a change of contacts or slides.
+"""
 
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -32,16 +36,17 @@ from workers.model.system import System
 Array = NDArray[np.float64]
 
 AMPLITUDES = (0.02, 0.005, 1e-3, 2e-4)
-"""Distances from an event at which the branch that leaves there is searched, in turn.
+"""Distances from a bifurcation at which an orbit of the branch that forks off there is searched, in turn.
 
-A branch is accepted if it returns to the event.
+They are in units of the scale of states and times. The branch of an orbit found is accepted if it returns to the
+bifurcation.
 """
 
 CONTINUATION_OFFSET = 1e-3
-"""Distance from an event, relative to the window, of the orbit that continues through the event."""
+"""Distance of parameter, relative to its window, past an event at which the orbit that continues there is searched."""
 
 LEAVES = ("symmetry_breaking", "period_doubling")
-"""Kinds of events at which a branch leaves."""
+"""Kinds of events at which another branch forks off."""
 
 GOES_ON = (
     "graze", "impact_lost", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
@@ -49,19 +54,20 @@ GOES_ON = (
 )  # fmt: skip
 """Kinds of events at which a branch may end and a branch with other contacts or slides begin.
 
-Through continuous events of these kinds the branch itself continues.
+If the orbit changes continuously at such an event, the same branch continues through it.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One branch.
+    """One branch of periodic orbits in one parameter.
 
     run                  points and events of the branch, as they were followed
-    itinerary            itinerary of the orbit from which the branch was followed
-    sections (N, n, 2d)  states at the n sections of a turn, for each of the N points of the run
+    itinerary            sequence of impacts and other events of the orbit from which the branch was followed
+    sections (N, n, 2d)  states of each of the N orbits at its n sections: once per forcing period; for a cycle, at each
+                         passage of the section
     mirrored (N, n, 2d)  states of the mirror images; None if orbits are symmetric, or the machine is not
-    origins              numbers of other branches, each with the event at which it leaves that branch
+    origins              numbers of other branches, each with the event at which this branch forks off that branch
     """
 
     run: BranchRun
@@ -72,18 +78,22 @@ class Branch:
 
     @property
     def values(self) -> Array:
-        """The parameter (N,) at each point."""
+        """The value (N,) of the parameter at each of the branch's N points."""
         return np.array([point.values[0] for point in self.run.points])
 
     @property
     def event_indices(self) -> list[int]:
-        """The index of the point of each event of the run."""
+        """The indices of the solution points at which the events of the branch lie, in the order of the events."""
         numbers = {id(point): k for k, point in enumerate(self.run.points)}
         return [numbers[id(event.point)] for event in self.run.events]
 
     @property
     def itineraries(self) -> list[Itinerary]:
-        """The itinerary of the orbit at each point; at an end with a shorter orbit, that of the orbit before."""
+        """The itinerary of the orbit at each point, that is its sequence of impacts and other events.
+
+        A branch may end at an orbit of half the period or of more symmetry. That end has the itinerary of the point
+        before.
+        """
         itineraries = [point.orbit.itinerary for point in self.run.points]
         for end, neighbour in ((0, 1), (-1, -2)) if len(itineraries) > 1 else ():
             if self.run.ends[end] in LEAVES:
@@ -91,20 +101,25 @@ class Branch:
         return itineraries
 
     def ends_at(self, event: Event) -> bool:
-        """Return True if the branch ends at an event."""
+        """Return True if the branch ends at a bifurcation or another of its events."""
         return any(self.run.points[end] is event.point and self.run.ends[end] == event.kind for end in (0, -1))
 
     @property
     def stability_parts(self) -> Iterator[tuple[bool, slice]]:
-        """Yield intervals of points that are all stable, or all unstable; neighbours share the point between them."""
+        """Yield the intervals of the branch in which all orbits are stable (True), or all unstable (False), as slices
+        of points.
+
+        Adjacent intervals share the point between them.
+        """
         unstable = np.array([point.unstable for point in self.run.points]) > 0
         steps = unstable[1:] | unstable[:-1]
         ends = [0, *(np.flatnonzero(steps[1:] != steps[:-1]) + 1).tolist(), len(steps)]
         return ((not steps[first], slice(first, last + 1)) for first, last in pairwise(ends) if last > first)
 
     def crossings(self, value: float) -> Iterator[tuple[int, float]]:
-        """Yield where the branch passes a parameter value: the point before, and the share of the step to the next
-        point.
+        """Yield each passage of the branch through a parameter value.
+
+        A passage is the index of the point before and the position in the step to the next point, from 0 to 1.
         """
         values = self.values
         for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0.0):
@@ -112,9 +127,10 @@ class Branch:
                 yield int(k), float((value - values[k]) / (values[k + 1] - values[k]))
 
     def orbit_after(self, family: Family, k: int, share: float, value: float) -> Orbit:
-        """Return the orbit at a value that the branch passes after point k.
+        """Return the exact orbit at a parameter value that the branch passes in the step after point k.
 
-        Raise ValueError if Newton's method finds none.
+        ``share`` is the position of the value in the step, from 0 at point k to 1 at the next. Raise ValueError if
+        Newton's method finds no orbit.
         """
         one, other = self.run.points[k].orbit, self.run.points[k + 1].orbit
         if one.itinerary != other.itinerary:
@@ -126,16 +142,16 @@ class Branch:
         return refine_orbit(family, Orbit(one.itinerary, *fields), np.array([value]))
 
     def orbits_at(self, family: Family, value: float) -> Iterator[Orbit]:
-        """Yield the orbits at a value of the parameter, each between two neighbouring points."""
+        """Yield the exact orbit at each passage of the branch through a value of the parameter."""
         for k, share in self.crossings(value):
             with suppress(ValueError):
                 yield self.orbit_after(family, k, share, value)
 
 
 class UnfollowedEvent(NamedTuple):
-    """An event at which no branch was followed.
+    """An event, such as a bifurcation, at which a branch begins that was not followed.
 
-    branch  number of the branch
+    branch  number of the branch with the event
     event   the event
     why     the reason in words
     """
@@ -147,14 +163,14 @@ class UnfollowedEvent(NamedTuple):
 
 @dataclass
 class BranchTree:
-    """Branches in one parameter of a system, grown from orbits.
+    """Branches of periodic orbits in one parameter of a system, with the branches that fork off.
 
     system    the system
     values    value of each parameter
     along     the free parameter
     window    (low, high) limits of the free parameter
     most      maximum number of branches
-    longest   maximum number of impacts of orbits followed from events: each doubling costs as much again
+    longest   maximum number of impacts of orbits followed from events; each doubling of it doubles the cost
     branches  the branches
     untried   events at which no branch was followed
     """
@@ -173,9 +189,10 @@ class BranchTree:
         self.twins = has_images(self.system, self.values)
 
     def grow(self, orbit: Orbit, value: float, leaving: bool) -> None:
-        """Follow the branch of an orbit; with ``leaving`` also all branches that events connect with it.
+        """Follow the branch of an orbit at a parameter value, and add it to the tree.
 
-        Raise ValueError if the orbit itself cannot be followed.
+        With ``leaving`` add also all branches that are connected with it by bifurcations or other events. Raise
+        ValueError if the orbit itself cannot be followed.
         """
         first = len(self.branches)
         if self.system.definition.unforced and not orbit.itinerary.sides:
@@ -200,13 +217,18 @@ class BranchTree:
                 self.untried.append(UnfollowedEvent(number, event, "no orbit found near the event"))
 
     def states(self, point: SolutionPoint, shift: float = 0.0) -> Array:
-        """Return the section states (n, 2d) of a point; for a cycle, the states after all its events."""
+        """Return the section states (n, 2d) of the orbit of a point: once per forcing period; for a cycle after each
+        event.
+
+        ``shift`` moves the sections, in forcing periods.
+        """
         parameters = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
         return section_states(self.system, parameters, [point.orbit], shift, known=True)[0]
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
-        """Return the events of a branch at which another branch leaves it, it leaves another, or it continues as
-        another.
+        """Return the events, with the branch's number, at which a branch is connected with another branch.
+
+        At such an event the other branch forks off, this branch ends at the other, or it continues as the other.
         """
         traced_branch = self.branches[number]
         return [
@@ -216,13 +238,13 @@ class BranchTree:
         ]
 
     def _is_met(self, event: Event) -> bool:
-        """Return True if another branch ends at the same orbit."""
+        """Return True if the tree has another event at the orbit of the given event, or at its mirror image."""
         return sum(self._meets(event, other) for branch in self.branches for other in branch.run.events) > 1
 
     def _go_on(self, number: int, event: Event) -> bool:
-        """Add the branch of the orbit with other events that a branch becomes at its end.
+        """Add the branch that begins where branch ``number`` ends at an event because its contacts or slides change.
 
-        Return True if it is found.
+        Return True if the branch is found.
         """
         (low, high), event_value, state = self.window, float(event.point.values[0]), self.states(event.point)[0]
         itinerary, cycle = event.point.orbit.itinerary, None
@@ -248,12 +270,17 @@ class BranchTree:
         return False
 
     def _meets(self, one: Event, other: Event) -> bool:
-        """Return True if two events, of any kind, have the same orbit, or mirror images."""
+        """Return True if two events, of any kind, are at the same parameter value and have the same orbit, or mirror
+        images.
+        """
         near = abs(one.point.values[0] - other.point.values[0]) <= 1e-8 * (self.window[1] - self.window[0])
         return near and self.is_orbit(self.states(one.point)[0], other.point)
 
     def _follow(self, parent: int, event: Event) -> bool:
-        """Add the branch that leaves at an event; return True if a branch is found that returns to the event."""
+        """Add the branch that forks off branch ``parent`` at a bifurcation.
+
+        Return True if a branch is found that returns to the bifurcation.
+        """
         low, high = self.window
         for amplitude in AMPLITUDES:
             try:
@@ -267,9 +294,10 @@ class BranchTree:
         return False
 
     def _follow_shorter(self, number: int, event: Event) -> bool:
-        """Add the branch of the shorter orbit at which a branch ends; return True if it could be followed.
+        """Add the branch of the orbit of half the period, or of more symmetry, at which branch ``number`` ends.
 
-        It starts near the event, not at it: at the event the function that changes sign is zero.
+        Return True if the branch could be followed. It starts near the event, not at it: at the event the test
+        function, whose change of sign locates the event, is zero.
         """
         (low, high), event_value = self.window, float(event.point.values[0])
         start_value = event_value + CONTINUATION_OFFSET * (high - low) * (
@@ -287,15 +315,16 @@ class BranchTree:
         return True
 
     def _is_known(self, event: Event, ends: bool) -> bool:
-        """Return True if the branch that leaves at an event is in the tree already: a branch that ends there.
+        """Return True if the tree already has the branch that meets another one at an event.
 
-        If a branch ``ends`` at the event, return True if the branch that it leaves is in the tree.
+        If a branch ``ends`` at the event, the branch sought is the one that passes through it; otherwise one that ends
+        there.
         """
         others = (other for branch in self.branches for other in branch.run.events if ends != branch.ends_at(other))
         return any(self._same(event, other) for other in others)
 
     def _same(self, one: Event, other: Event) -> bool:
-        """Return True if two events are equal, or mirror images."""
+        """Return True if two events are of one kind and have the same orbit, or mirror images."""
         return one.kind == other.kind and self._meets(one, other)
 
     def is_orbit(self, state: Array, point: SolutionPoint) -> bool:
@@ -312,7 +341,11 @@ class BranchTree:
         self.branches.append(Branch(run, itinerary, sections, mirrored, origins))
 
     def _sections(self, run: BranchRun, shift: float) -> Array:
-        """Return the states (N, n, 2d) of all points of a run; at an end with a shorter orbit they are repeated."""
+        """Return the section states (N, n, 2d) of the orbits of all points of a run.
+
+        An orbit of half the period, at an end of the branch, has its states repeated. ``shift`` moves the sections, in
+        forcing periods.
+        """
         states_of = dict[int, Array]()
         for rows in group_indices(point.orbit.itinerary for point in run.points):
             parameters = {name: np.full(len(rows), value) for name, value in self.values.items()}

@@ -1,1 +1,3 @@
-"""The exact curves that bound the regions of a plane: bifurcations and grazes of the orbits of its cells."""
+"""The exact curves that bound the regions of a two-parameter atlas: bifurcations and grazes of the orbits of its
+cells.
+"""

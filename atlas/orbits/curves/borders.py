@@ -1,4 +1,4 @@
-"""Borders between regions, and the order in which their edges are searched."""
+"""Borders, the sets of all edges between the same two regions of cells, and the order in which edges are searched."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,33 +7,42 @@ from atlas.orbits.curves.plane import Cells, CurvePlane
 from workers.results import PENDING
 
 EDGES_PER_STAGE = 48
-"""Maximum number of edges that are searched in one stage."""
+"""Maximum number of edges between cells that are searched for bifurcations and grazes in one stage."""
 
 EDGES_PER_BORDER = 8
-"""Maximum number of edges of one border in a stage, once an edge of it has been searched."""
+"""Maximum number of edges of one border that are searched in a stage; in the border's first stage one edge is
+searched.
+"""
 
 FRUITLESS = 3
-"""Number of searches without an event after which a border to cells without a known orbit is left.
+"""Number of fruitless searches after which a border between a region and cells without a known orbit is given up.
 
-The border stays in the search if most searches found an event.
+A search is fruitless if it finds no bifurcation and no graze. The border is not given up while more than half of its
+searches find one.
 """
 
 OPEN, BASIN, CURVE, TRIED, NONE = range(5)
-"""State of an edge.
+"""What is known about an edge between two cells.
 
-In order: nothing known; an orbit of one side exists on the other side too; a curve of an orbit of one of its cells
-passes within one cell; searched, with no such curve; the orbit does not change there.
+OPEN: nothing. BASIN: the orbit of one cell exists and attracts in the other cell too. CURVE: a curve of an orbit of one
+of the cells passes within one cell. TRIED: searched, without finding such a curve. NONE: both cells have the same
+orbit.
 """
 
 BETWEEN, BESIDE, BASINS = range(3)
-"""Borders in order of importance: between regions; of a region with other cells; where only basins end."""
+"""Kinds of borders in order of importance.
+
+BETWEEN: between two regions. BESIDE: between a region and cells without a known orbit. BASINS: only basins of
+attraction end there.
+"""
 
 
 class BorderSchedule:
-    """The edges of a plane, by border, and the order in which they are searched.
+    """The edges between cells of a plane, grouped by border, and the order in which they are searched.
 
-    A border separates a region from another region, or from cells of a regime that are in no region. Regions below
-    ``minimum`` cells do not count as regions. Edges between two cells outside all regions are on no border.
+    A border is the set of all edges between the same two regions, or between a region and the cells of one regime that
+    are in no region. Regions below ``minimum`` cells do not count as regions. Edges between two cells outside all
+    regions are on no border.
     """
 
     def __init__(self, plane: CurvePlane, minimum: int) -> None:
@@ -52,7 +61,8 @@ class BorderSchedule:
     def choose(self, verdicts: NDArray[np.int64], room: int) -> list[int]:
         """Return at most ``room`` edges to search next: those of the most important borders, evenly spaced along each.
 
-        A border without an open edge, where only basins end, contributes one edge in all.
+        ``verdicts`` has for each edge what is known about it: OPEN, BASIN, CURVE, TRIED or NONE. A border without an
+        OPEN edge, where only basins end, contributes one edge in all.
         """
         choices = []
         for k, edges in enumerate(self.edges):
@@ -70,7 +80,7 @@ class BorderSchedule:
         return selected_edges[: max(0, min(EDGES_PER_STAGE, room))]
 
     def record_attempt(self, edge: int, fruitful: bool) -> None:
-        """Record that an edge was searched; ``fruitful`` is True if events were found."""
+        """Record that an edge was searched; ``fruitful`` is True if a bifurcation or a graze was found."""
         k = self.number[self.which[edge]]
         self.n_searched[k] += 1
         self.fruitless[k] += not fruitful
@@ -79,8 +89,10 @@ class BorderSchedule:
         return bool(self.fruitless[k] < FRUITLESS or 2 * self.fruitless[k] < self.n_searched[k])
 
     def orders(self, edge: Cells) -> tuple[tuple[int, int], ...]:
-        """Return the directions across an edge that start from cells of regions, from the shorter orbit with fewer
-        impacts first.
+        """Return the directions, as (from cell, to cell), in which the orbits of an edge's cells are to be followed.
+
+        Only cells in regions are starts. The direction from the orbit with the shorter period, then with fewer impacts,
+        comes first.
         """
         plane = self.plane
         directions = [(int(a), int(b)) for a, b in (edge, edge[::-1]) if self.inside[a]]

@@ -1,4 +1,4 @@
-"""The fate of a plane's orbits at other cells, and at points of curves."""
+"""The periodic orbits of the cells of an atlas, continued to parameters of other cells and from points of curves."""
 
 from collections.abc import Sequence
 
@@ -14,18 +14,24 @@ from workers.continuation.orbit_equality import is_same_orbit
 from workers.continuation.orbits import group_indices
 
 CEASES, PERSISTS, IS = range(3)
-"""Fate of a cell's orbit at the parameters of another cell: it ceases, persists, or is that cell's orbit."""
+"""What becomes of a cell's orbit when it is continued to the parameters of another cell.
+
+CEASES: it does not exist there, or is unstable. PERSISTS: it exists and attracts. IS: it is the orbit of that other
+cell.
+"""
 
 
 class CellOrbits(StoredOrbits):
-    """The orbits of a plane's cells."""
+    """The periodic orbits of the cells of a two-parameter atlas, solved by Newton's method."""
 
     def __init__(self, plane: CurvePlane) -> None:
         super().__init__(plane)
         self.plane = plane
 
     def _stands(self, orbit: Orbit, cell: int) -> int:
-        """Return the fate of an equilibrium at a cell's parameters."""
+        """Return what becomes of an equilibrium at a cell's parameters: CEASES, PERSISTS, or IS if the cell is at rest
+        there.
+        """
         equilibrium = equilibrium_near(self.family, self.plane.values(np.array([cell]))[0], code_of(orbit))
         if equilibrium is None or equilibrium.unstable:
             return CEASES
@@ -36,11 +42,11 @@ class CellOrbits(StoredOrbits):
         return np.asarray(self.family.model(values).omega)
 
     def fates(self, pairs: Cells) -> NDArray[np.int64]:
-        """Return, for each pair (N, 2), the fate of the first cell's orbit at the second cell's parameters.
+        """Return what becomes of a cell's orbit at another cell's parameters, for each pair of cells (N, 2).
 
-        The fate is PERSISTS if the orbit exists and attracts there, IS if it is the second cell's orbit, otherwise
-        CEASES. The orbit is continued by Newton's method, half way first, and certified crossings decide whether it is
-        admissible.
+        The result is PERSISTS if the first cell's orbit exists and attracts at the second cell's parameters, IS if it
+        also is the second cell's orbit, otherwise CEASES. The orbit is continued by Newton's method, half way first.
+        Crossings of the stops, computed with error bounds, decide whether it is admissible.
         """
         verdicts = np.full(len(pairs), CEASES)
         regions = self.plane.regions[pairs]
@@ -63,9 +69,9 @@ class CellOrbits(StoredOrbits):
         return verdicts
 
     def fate_at(self, orbit: Orbit, values: Array, cell: int) -> int:
-        """Return the fate of an orbit at parameters (2,) when it is continued to a cell's parameters.
+        """Return what becomes of an orbit at parameters (2,) when it is continued to a cell's parameters.
 
-        The fate is CEASES, PERSISTS, or IS for the cell's own orbit.
+        The result is CEASES or PERSISTS, or IS if it becomes the cell's own orbit.
         """
         if is_equilibrium(orbit, self.plane.system):
             return self._stands(orbit, cell)
@@ -79,8 +85,12 @@ class CellOrbits(StoredOrbits):
         return cell_orbit is not None and is_same_orbit(cell_orbit, orbit, float(self.omega(values)[0]))
 
     def belong_to_cells(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
-        """Return the mask of orbits (N,), at parameters (N, 2), that become the orbits of their cells (N,) when
-        continued there.
+        """Return the mask (N,) of orbits that become the orbit of a given cell when they are continued to its
+        parameters.
+
+        cells (N,)      the cell of each orbit
+        points          the N orbits
+        values (N, 2)   parameters of the orbits
         """
         belongs = np.zeros(len(cells), dtype=bool)
         omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)

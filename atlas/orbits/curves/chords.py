@@ -1,4 +1,4 @@
-"""Chords of curves: straight lines between neighbouring points of a curve, and the points that lie near them."""
+"""Geometry of curves as polylines: the chords, straight lines between consecutive points, and points near them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,9 +7,14 @@ Array = NDArray[np.float64]
 
 
 def project_onto_chords(points: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """Return the nearest position on a chord to each point (..., 2), and the vector (..., 2) from there to the point.
+    """Project points (..., 2) onto chords, each the straight line between two consecutive points of a curve.
 
-    The position is a share (...) of the chord. Points and chords broadcast.
+    points (..., 2)  points
+    first (..., 2)   first points of the chords
+    last (..., 2)    last points of the chords
+
+    Return the nearest position (...) on the chord, from 0 at its first to 1 at its last point, and the vector (..., 2)
+    from there to the point. The arguments broadcast.
     """
     steps, off = last - first, points - first
     square = np.vecdot(steps, steps)
@@ -18,9 +23,11 @@ def project_onto_chords(points: Array, first: Array, last: Array) -> tuple[Array
 
 
 def find_passages(points: Array, at: Array, near: float) -> list[tuple[int, float]]:
-    """Return the chords of a curve through points (N, 2) that pass a point (2,) within ``near``, one for each passage.
+    """Return each passage of a curve, a polyline through points (N, 2), within distance ``near`` of a point ``at``
+    (2,).
 
-    Each is the nearest chord of the passage: its index, and the share of it. Chords of length 0 do not count.
+    A passage is given by its chord nearest to the point: the index of the chord, and the nearest position on it, from 0
+    at its first point to 1 at its last point. Chords of length 0 do not count.
     """
     shares, offsets = project_onto_chords(at, points[:-1], points[1:])
     off = np.hypot(*offsets.T)

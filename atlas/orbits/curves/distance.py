@@ -1,4 +1,4 @@
-"""The distance of an operating point to the events of its orbit."""
+"""The distance of an operating point to the bifurcations and grazes of its orbit."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 RESOLUTION = 0.02
-"""Maximum step along a branch, relative to its window."""
+"""Maximum step along a branch, relative to the range of the parameter."""
 
 
 def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Return the nearest events of the orbit at an operating point: the first one along each axis in either direction.
+    """Return the bifurcations and grazes nearest to an operating point: the first along each axis in either direction.
 
-    They are exact, from branches of the orbit of the point's cell through the whole plane, and sorted by distance.
-    ``kind`` is the kind of event, None for any. Each event is a dict with the keys:
+    They are located exactly, on branches of the orbit of the point's cell through the whole plane, and sorted by
+    distance. ``kind`` is the kind of event, None for any. Each event is a dict with the keys:
 
     axis      name of the axis
     kind      kind of the event; a lost impact is a graze
@@ -56,7 +56,7 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
 
 
 def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], point: NDArray[np.float64]) -> Orbit:
-    """Return the orbit of a cell, continued to a point near it."""
+    """Return the orbit of the cell nearest to an operating point (2,), continued to the point's parameters."""
     x, y = (int(np.argmin(np.abs(v - cell[name]))) for v, name in zip((plane.x, plane.y), plane.axes, strict=True))
     number = y * len(plane.x) + x
     where = ", ".join(f"{name} = {cell[name]:g}" for name in plane.axes)
@@ -72,7 +72,11 @@ def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], po
 def _first(
     orbits: CellOrbits, orbit: Orbit, point: NDArray[np.float64], axis: int, end: float, kind: str | None
 ) -> Iterator[PlaneEvent]:
-    """Yield the first event of a kind in the direction of a limit, if there is one."""
+    """Yield the first bifurcation or graze of an orbit along an axis from a point to the value ``end``; nothing if
+    none.
+
+    ``kind`` is the kind to look for, None for any.
+    """
     if point[axis] == end:
         return
 

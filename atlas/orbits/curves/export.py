@@ -31,7 +31,7 @@ def export(curves: Curves, path: str | Path) -> None:
 
 
 def as_json(curves: Curves) -> dict[str, Any]:
-    """Return the curves as plain values: ``axes``, ``curves`` with their fields by name, and ``report``."""
+    """Return the curves as dicts and lists for JSON: ``axes``, ``curves`` with their fields by name, and ``report``."""
     return {
         "axes": list(curves.axes),
         "curves": [

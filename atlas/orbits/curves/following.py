@@ -1,4 +1,4 @@
-"""From an edge between cells to the events near it, and from an event to its curve."""
+"""Find events, that is bifurcations and grazes of orbits, near an edge between cells, and follow their curves."""
 
 from typing import NamedTuple
 
@@ -22,24 +22,26 @@ from workers.model.family import NoOscillatorError
 Array = NDArray[np.float64]
 
 STEP = 0.6
-"""Maximum step of a short branch, as a share of its few cells."""
+"""Maximum step of a branch that leads from a cell past an edge, as a share of the distance between cells."""
 
 SAME_EVENT_DISTANCE = 1e-8
-"""Distance, in units of the window, within which two events are equal, if their orbits are."""
+"""Distance, relative to the width of the plane, below which two events with the same orbit are one event."""
 
 NEAR_CURVE = 5e-3
-"""Distance, in units of the window, from the chords of a curve within which an event may lie on the curve."""
+"""Maximum distance, relative to the width of the plane, between an event and the polyline of a curve that may contain
+it.
+"""
 
 
 class PlaneEvent(NamedTuple):
-    """An event in the plane.
+    """An event, that is a bifurcation or a graze of an orbit, at a point of a two-parameter plane.
 
     kind           kind of the event
-    condition      its condition
-    orbit          its orbit
-    contact_times  times of the orbit's contacts
+    condition      the condition that the orbit meets, such as a multiplier of -1 or a contact at zero velocity
+    orbit          the orbit
+    contact_times  times of the orbit's contacts at zero velocity
     values (2,)    parameters
-    kappa          cos theta of a pair of multipliers, else NaN
+    kappa          cos theta of a pair of multipliers exp(+-i theta), else NaN
     """
 
     kind: str
@@ -50,7 +52,9 @@ class PlaneEvent(NamedTuple):
     kappa: float
 
     def as_event(self) -> Event:
-        """Return the event as a record of ``workers.continuation``."""
+        """Return the bifurcation or graze as an event of ``workers.continuation``, from which its curve can be
+        followed.
+        """
         none = np.zeros(0, dtype=np.complex128)
         return Event(
             self.kind,
@@ -61,20 +65,25 @@ class PlaneEvent(NamedTuple):
 
     @property
     def signature(self) -> tuple[str, int, int, bool]:
-        """Properties common to all events of its curve up to a change of contacts: kind, periods, events, symmetry."""
+        """What all events of one curve have in common: kind, period, number of impacts and other events, and symmetry.
+
+        An exception are curves along which the orbit gains or loses a contact.
+        """
         itinerary = self.orbit.itinerary
         return self.kind, itinerary.sections, len(itinerary.sides), itinerary.symmetric
 
 
 class FollowedCurve(NamedTuple):
-    """A curve as it was followed. Its orbits may change contacts or slides at points at which nothing jumps.
+    """A curve of bifurcations or grazes as it was followed, with the orbit at each point.
+
+    The orbits may gain or lose contacts or slides along the curve at points at which nothing jumps.
 
     event          the event from which the curve was followed
     values (N, 2)  parameters of the points
     orbits         orbits of the points
-    contact_times  contact times of the points
+    contact_times  times, at each point, of the orbit's contacts at zero velocity
     conditions     condition of the event on each orbit
-    unstable (N,)  number of other unstable multipliers
+    unstable (N,)  number of multipliers with modulus above 1 not counting the event's own
     corners        points of codimension two: kind, and parameters (2,)
     ends           why the curve ends at its first and its last point
     """
@@ -90,11 +99,11 @@ class FollowedCurve(NamedTuple):
 
 
 class EdgeSearchResult(NamedTuple):
-    """The result of a search near an edge.
+    """The events found near an edge between two cells, by following the orbit of one cell to the other.
 
     events  the events
     why     the reason in words if there are none
-    fate    fate of the cell's orbit at the neighbour's parameters: CEASES, PERSISTS or IS
+    fate    what becomes of the cell's orbit at the neighbour's parameters: CEASES, PERSISTS or IS
     """
 
     events: list[PlaneEvent]
@@ -105,7 +114,12 @@ class EdgeSearchResult(NamedTuple):
 def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> EdgeSearchResult:
     """Return the events at which a cell's orbit gains or loses stability, or ends, towards a neighbour and beyond it.
 
-    The orbit is followed over ``cells`` cells; events are in order along its branch.
+    orbits  orbits of the plane's cells
+    start   number of the cell
+    beyond  number of the neighbour
+    cells   distance, in cells, over which the orbit is followed
+
+    Events are in order along the branch of the orbit.
     """
     plane, orbit = orbits.plane, orbits.orbit_of_row(start)
     if orbit is None:
@@ -145,8 +159,9 @@ def events_towards(
 ) -> list[PlaneEvent]:
     """Return the events at which an orbit at parameters (2,) gains or loses stability, or ends, along an axis.
 
-    The axis's parameter goes to ``end``, or to the first event for which ``until`` is True. Events are in order along
-    the branch, which may turn back. Errors are those of ``workers.continuation.branch``.
+    The parameter with index ``axis`` is varied to ``end``, or to the first event for which ``until`` is True. Steps are
+    at most ``resolution``, a share of that range. Events are in order along the branch, which may turn back. Errors are
+    those of ``workers.continuation.branch``.
     """
     return _towards(orbits, orbit, parameters, axis, end, resolution, until)[1]
 
@@ -160,7 +175,7 @@ def _towards(
     resolution: float,
     until: Until | None = None,
 ) -> tuple[BranchRun, list[PlaneEvent]]:
-    """Return the branch of ``events_towards``, and the events."""
+    """Do the work of ``events_towards``; return the branch of the orbit along the axis, and its events."""
     behind = float(parameters[axis]) - 1e-6 * (end - float(parameters[axis]))
     window = (min(behind, end), max(behind, end))
     family, value = orbits.family_along(axis, parameters), float(parameters[axis])
@@ -178,12 +193,15 @@ def _towards(
 
 
 def bounds_stability(event: Event) -> bool:
-    """Return True if a stable orbit loses stability or ends at an event of a branch."""
+    """Return True if a stable orbit loses stability or ends at this bifurcation or graze of a branch."""
     return event.point.unstable == 0 and len(event.conditions) == 1 and event.kind not in (VERTEX, EXCHANGE)
 
 
 def _located(event: Event, values: Array) -> PlaneEvent:
-    """Return the event in the plane; a lost impact becomes the graze of the orbit without it."""
+    """Convert an event of a branch at parameters ``values`` (2,) to an event of the plane.
+
+    If an impact loses its speed, the event becomes the graze of the orbit without that impact.
+    """
     (condition,), point = event.conditions, event.point
     if is_impact_loss(event):
         orbit, graze, contacts = without_impact(point.orbit, condition.impact)
@@ -195,12 +213,12 @@ def _located(event: Event, values: Array) -> PlaneEvent:
 
 
 def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budget: int) -> FollowedCurve | str:
-    """Return the curve of an event through the plane's window, or the reason why there is none.
+    """Follow the curve of an event through the plane, to the limits of its axes; return a reason in words on failure.
 
-    resolution  longest step, as a share of the window
+    resolution  longest step, as a share of the plane's width
     budget      maximum number of points
 
-    Of the events of equilibria only Hopf points are followed.
+    Among the events of equilibria, only Hopf bifurcations are followed.
     """
     still, name = event.condition.kind in OF_EQUILIBRIA, event.kind.replace("_", " ")
     if still and event.kind != HOPF:
@@ -233,7 +251,11 @@ def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budge
 
 
 def with_own_ends(points: list[SolutionPoint]) -> list[SolutionPoint]:
-    """Return the points, with an end at which the orbit becomes another one replaced by its neighbour."""
+    """Return the points of a branch or curve without the different orbits at which it may end.
+
+    An end point whose orbit has another sequence of impacts and other events than its neighbour is replaced by the
+    neighbour.
+    """
     curve_points = list(points)
     for end, neighbour in ((0, 1), (-1, -2)):
         if curve_points[end].orbit.itinerary != curve_points[neighbour].orbit.itinerary:
@@ -246,8 +268,10 @@ def _length(itinerary: Itinerary) -> tuple[int, bool]:
 
 
 def _conditions(orbits: CellOrbits, event: PlaneEvent, points: list[SolutionPoint]) -> list[Condition] | None:
-    """Return the condition of an event on the orbit of each point, from the point with the event's itinerary to both
-    ends.
+    """Return, for the orbit of each point of a curve, the condition that makes the point a point of the curve.
+
+    The condition of the event holds for orbits with the event's own sequence of impacts. It is translated, from there
+    to both ends, whenever this sequence changes. Return None if a translation fails.
     """
     start = next((k for k, point in enumerate(points) if point.orbit.itinerary == event.orbit.itinerary), 0)
     conditions = {start: event.condition}
@@ -265,9 +289,10 @@ def _conditions(orbits: CellOrbits, event: PlaneEvent, points: list[SolutionPoin
 
 
 def lies_on(orbits: CellOrbits, event: PlaneEvent, known: FollowedCurve) -> bool:
-    """Return True if an event is a point of a known curve: at its parameters the curve's own equations give its orbit.
+    """Return True if an event, a bifurcation or graze at a point of the plane, belongs to a known curve.
 
-    Distance in the plane is not enough: curves of different orbits cross, and may coincide.
+    The equations of the curve are solved next to the event, and the solution must have the parameters and the orbit of
+    the event. Distance in the plane is not enough: curves of different orbits cross, and may coincide.
     """
     if event.kind != known.event.kind or _length(event.orbit.itinerary) != _length(known.event.orbit.itinerary):
         return False
@@ -291,14 +316,22 @@ def _is_alike(one: Itinerary, other: Itinerary) -> bool:
 
 
 def _is_whole(known: FollowedCurve, chord: int) -> bool:
-    """Return True if the orbits at both ends of a chord have the same events."""
+    """Return True if the orbits at both ends of a chord have the same sequence of impacts and other events.
+
+    A chord is the straight line between two consecutive points of a curve.
+    """
     return known.orbits[chord].itinerary == known.orbits[chord + 1].itinerary
 
 
 def _solved_at(
     family: Family, event: PlaneEvent, known: FollowedCurve, chord: int, share: float, width: Array
 ) -> tuple[Array, Orbit] | None:
-    """Return the point of a curve on the line across its chord, with its orbit."""
+    """Return the parameters (2,) and the orbit of a curve's exact point near a chord, the line between two of its
+    points.
+
+    The point lies on the line across the chord at position ``share``, from 0 at the chord's first point to 1 at its
+    last. None if no end of the chord has an orbit like the event's, or Newton's method does not converge.
+    """
     ends = [k for k in (chord, chord + 1) if _is_alike(known.orbits[k].itinerary, event.orbit.itinerary)]
     if not ends:
         return None

@@ -1,4 +1,4 @@
-"""The job that does one task of a search on a worker."""
+"""The job that executes one task of a search for curves on a worker, and stores its result."""
 
 import json
 import time
@@ -20,13 +20,13 @@ from atlas.task.store_ref import PartReport, StoreRef, WorkerRefusedError, store
 
 @dataclass(frozen=True)
 class CurveJob:
-    """A job for one task of a search. ``run_and_store`` runs it locally.
+    """A job for one task of a search. ``run_and_store`` runs it in the calling process.
 
     index      index of the job
-    name       name of the part for the result
+    name       name under which the result is stored, as a part of the store
     task       the task
     settings   budget of the search
-    digest     digest of the search; a worker whose store has another digest refuses
+    digest     digest of the cells and the budget; a worker that computes another from its store refuses the job
     store_ref  reference to the store
     """
 
@@ -39,12 +39,12 @@ class CurveJob:
 
     @property
     def part(self) -> str:
-        """The group and the name of the part."""
+        """Path of the stored result in the store: its group and its name."""
         return f"{CURVES}/{self.name}"
 
 
 def run_and_store(job: CurveJob) -> PartReport:
-    """Run a task and write its result as a part of the store."""
+    """Run a task of a search and write its result into the store, as a part, that is an intermediate result."""
     handle = job.store_ref.open()
     compile_once(*kernels_for(handle.spec.system_def, ORBITS))
     begin = time.thread_time()
@@ -59,7 +59,7 @@ def run_and_store(job: CurveJob) -> PartReport:
 
 
 def read_part(handle: AtlasStore, name: str) -> dict[str, Any]:
-    """Return the result of a part. Raise RefusedError if there is none."""
+    """Return the stored result of a task by its name. Raise RefusedError if the store does not have it."""
     part: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
     return part
 

@@ -1,4 +1,4 @@
-"""Finding where curves pass the edges between cells, within one cell."""
+"""Find the edges between cells that a curve passes within one cell."""
 
 from typing import NamedTuple
 
@@ -13,18 +13,18 @@ from workers.continuation import Orbit
 Array = NDArray[np.float64]
 
 ONE_CELL = 1.0
-"""Maximum distance along either axis, in cells, between a curve and the middle of an edge that it passes."""
+"""Maximum distance along either axis, in cells, of a curve from the midpoint of an edge that it counts as passing."""
 
 DISTANCES_PER_BLOCK = 1 << 22
-"""Number of distances that are computed at a time."""
+"""Maximum number of distances between edges and chords that are computed at a time, to limit memory."""
 
 
 class CurvePassage(NamedTuple):
-    """A position on a curve.
+    """A position on a curve, at which the curve passes an edge between cells.
 
     curve  the curve
-    chord  index of the chord
-    share  share of the chord
+    chord  index of the chord, the straight line between two consecutive points of the curve
+    share  position on the chord, from 0 at its first point to 1 at its last point
     """
 
     curve: FollowedCurve
@@ -33,7 +33,7 @@ class CurvePassage(NamedTuple):
 
 
 def edge_midpoints(plane: CurvePlane, edges: Cells) -> Array:
-    """Return the midpoints (E, 2) of edges between cells, in units of cells."""
+    """Return the midpoints (E, 2) of edges, each a pair of neighbouring cells, in units of cells."""
     along = len(plane.x)
     return np.stack([(edges % along).mean(axis=1), (edges // along).mean(axis=1)], axis=1)
 
@@ -41,9 +41,13 @@ def edge_midpoints(plane: CurvePlane, edges: Cells) -> Array:
 def find_passed_edges(
     plane: CurvePlane, values: Array, at: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return which of the midpoints ``at`` (E, 2) a curve through points (N, 2) passes within one cell.
+    """Find the edges between cells that a curve passes within one cell along either axis.
 
-    The result is their indices, the index of the nearest chord to each, and the share of that chord.
+    values (N, 2)  points of the curve, as parameter values
+    at (E, 2)      midpoints of the edges, in units of cells
+
+    Return the indices of the passed edges, the index of the chord nearest to each, and the position on that chord, from
+    0 at its first point to 1 at its last point.
     """
     points = plane.places(values)
     rows, which, shares = [], [], []
@@ -65,7 +69,8 @@ def find_passed_edges(
 def orbits_beside(passings: list[CurvePassage]) -> tuple[list[Orbit], Array]:
     """Return the approximate orbits at positions on curves, and the parameters (N, 2) there.
 
-    They are interpolated between the ends of the chord, or taken from the nearer end if the events at the ends differ.
+    Orbits and parameters are interpolated between the ends of the chord. If the orbits at the two ends have different
+    sequences of impacts and other events, those of the nearer end are returned.
     """
     orbits, values = [], []
     for curve, chord, share in passings:

@@ -1,4 +1,6 @@
-"""The plane of a search: its cells as arrays, their regions, and the edges between regions."""
+"""The finished two-parameter atlas in which curves are searched: its cells as arrays, regions of cells with one kind of
+orbit, and the edges between regions.
+"""
 
 import hashlib
 from dataclasses import dataclass
@@ -20,12 +22,13 @@ from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
 Cells = NDArray[np.int64]
 
 SMALL = 4
-"""Minimum size, in cells, of regions that are not counted as small."""
+"""Number of cells from which on a connected region is searched by default. Smaller regions count as ``small``."""
 
 JUMP, ALONE = 0.03, 3.0
-"""Thresholds for a jump of the mean impact speed from a cell to the next, at which the orbit may be another one.
+"""Thresholds above which a change of the mean impact speed from cell to cell suggests that the orbit is another one.
 
-They are the relative change, and its ratio to the neighbouring changes; both must be exceeded.
+JUMP applies to the relative change, ALONE to the ratio of the change to the changes one cell before and after. Both
+must be exceeded.
 """
 
 SPEED = "mean_impact_speed"
@@ -34,15 +37,16 @@ NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CurvePlane(OrbitTable):
-    """A finished plane. Its cells, the rows, are numbered row by row, x fastest.
+    """The cells of a finished two-parameter atlas, in which curves are searched; they are numbered row by row, x
+    fastest.
 
     axes                names of the axes, x first
     x                   values of the x axis
     y                   values of the y axis
     log                 True for each logarithmic axis
     speed (cells,)      mean speed of impacts, NaN without impacts
-    changes (cells, K)  what changes where orbits continue with other contacts or slides: sticking, and contacts at each
-                        stop; None if unknown
+    changes (cells, K)  results that tell apart orbits of equal period and impacts: whether friction or a stop makes the
+                        motion stick, and contacts at each stop; None if unknown
     """
 
     axes: tuple[str, str]
@@ -59,7 +63,7 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def proven(self) -> NDArray[np.bool_]:
-        """Mask (cells,) of cells with a known periodic orbit, impact-free motion included."""
+        """Mask (cells,) of cells with a known periodic orbit, which includes motion without impact."""
         return np.isin(self.regime, (PERIODIC, NO_IMPACT)) & (self.period > 0)
 
     @cached_property
@@ -73,9 +77,9 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def window(self) -> dict[str, tuple[float, float]]:
-        """The limits of each axis, from the first to the last edge of the cells.
+        """The limits (low, high) of each axis by name, from the first to the last edge of the cells.
 
-        If the system does not admit values beyond the last point, the limit is that point.
+        If the parameter's valid range ends at a closer value, the limit is the outermost point of the axis.
         """
         bounds = {}
         for name, points, log in zip(self.axes, (self.x, self.y), self.log, strict=True):
@@ -89,11 +93,14 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def width(self) -> Array:
-        """The widths (2,) of the window."""
+        """The widths (2,) of the plane along x and y, in units of the parameters."""
         return np.array([self.window[name][1] - self.window[name][0] for name in self.axes])
 
     def places(self, values: Array) -> Array:
-        """Return points (N, 2) of the plane in units of cells: the point of cell (i, j) is (i, j), x first."""
+        """Convert points (N, 2) of the plane from parameter values to units of cells, x first.
+
+        The point of the cell in column i and row j becomes (i, j).
+        """
         places = np.empty_like(values)
         for k, (points, log) in enumerate(zip((self.x, self.y), self.log, strict=True)):
             scaled_values = np.log(values[:, k]) if log else values[:, k]
@@ -110,7 +117,8 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def regions(self) -> Cells:
-        """The number (cells,) of the connected region of each proven cell; 0 for other cells.
+        """The number (cells,) of the connected region to which each cell belongs; 0 for cells without a known periodic
+        orbit.
 
         All cells of a region have the same kind of orbit: regime, period, impacts, symmetry, contacts and slides.
         """
@@ -130,16 +138,20 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def region_sizes(self) -> Cells:
-        """The number of cells of each region, by its number; 0 for number 0."""
+        """The number of cells of each region, indexed by the region's number. Number 0, for cells in no region, has
+        size 0.
+        """
         sizes = np.bincount(self.regions)
         sizes[0] = 0
         return sizes
 
     @cached_property
     def edges(self) -> Cells:
-        """The edges (E, 2) between neighbouring cells, as pairs of cells; along x first, then along y.
+        """The edges (E, 2) between neighbouring cells across which the orbit may change, each a pair of cell numbers.
 
-        At least one cell of an edge is proven. The cells are in different regions, or perhaps on different orbits.
+        An edge is listed if its cells are in different regions, or in one region with a jump of the mean impact speed.
+        At least one of its cells has a known periodic orbit. Edges between cells adjacent in x come first, then those
+        in y.
         """
         number = np.arange(len(self.regime)).reshape(self.shape)
         pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
@@ -150,9 +162,10 @@ class CurvePlane(OrbitTable):
         return np.asarray(neighbours[differ & self.valid[neighbours].all(axis=1)])
 
     def _jumps(self, axis: int) -> NDArray[np.bool_]:
-        """Return the mask of neighbours along an axis whose orbits may differ although they are of the same kind.
+        """Return the mask of pairs of neighbours along an axis whose orbits may differ although they are of the same
+        kind.
 
-        Their mean impact speed jumps, and does so nowhere else nearby.
+        The mean impact speed jumps between the two cells of such a pair, and changes less just before and after.
         """
         speed, region = (np.moveaxis(values.reshape(self.shape), axis, 0) for values in (self.speed, self.regions))
         inside = (region[1:] == region[:-1]) & (region[1:] > 0)
@@ -164,7 +177,9 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def digest(self) -> str:
-        """Digest of all that curves depend on: cells, axes, system and fixed parameters."""
+        """Digest of all data of the atlas on which its curves depend: results of the cells, axes, system and fixed
+        parameters.
+        """
         digest = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
         names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state")
         for name in (*names, *([CYCLE_PERIOD.name] if self.system.definition.unforced else [])):
@@ -174,10 +189,10 @@ class CurvePlane(OrbitTable):
 
 
 def plane_of(handle: AtlasStore) -> CurvePlane:
-    """Return the plane of a store.
+    """Read the two-parameter atlas of a store as arrays for a search of its curves.
 
-    Raise InputError unless it is a finished plane over two parameters on which orbits depend. Raise ChunkError if a
-    chunk is missing or damaged.
+    Raise InputError unless the store is finished and has two axes, both parameters on which orbits depend. Raise
+    ChunkError if a chunk is missing or damaged.
     """
     spec = handle.spec
     if spec.points or len(spec.axes) != 2:
@@ -214,9 +229,10 @@ def plane_of(handle: AtlasStore) -> CurvePlane:
 
 
 def changes_of(system: System) -> tuple[list[str], list[str]]:
-    """Return the names of the results that change where an orbit continues with other contacts or slides.
+    """Return the names of the results that change where an orbit continues but gains or loses a contact or a slide.
 
-    They are flags and counts of its contacts, and shares of time that are 0 if its friction does not stick.
+    The first list has flags and counts of contacts. The second list has shares of time that are 0 if friction does not
+    stick.
     """
     variable_names, definition = {variable.name for variable in system.own_variables}, system.definition
     counts = [f"{contact.name}_{side}" for contact in definition.contacts for side in ("upper", "lower")]

@@ -1,4 +1,4 @@
-"""Queries for the stored curves of an atlas, and their tables."""
+"""The stored curves of an atlas for a user's queries, also as pandas tables."""
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def curves_of(ds: "xr.Dataset") -> Curves:
-    """Return the curves in the store of an atlas. Raise InputError if it has none."""
+    """Return the curves that are stored with an atlas, opened as a dataset. Raise InputError if it has none."""
     handle = handle_of(ds)
     curves = read_curves(handle)
     if curves is None:
@@ -23,13 +23,13 @@ def curves_of(ds: "xr.Dataset") -> Curves:
 
 
 class CurveFrames(NamedTuple):
-    """Curves as tables.
+    """Curves as pandas tables.
 
     points   one row per point, curve by curve, in order along each: number of the curve, its kind, period, impacts and
              symmetry of its orbit, the position, and ``unstable``, the multipliers of modulus above 1 besides the
-             event's own; the attribute ``report`` is the report on the search
-    corners  one row per point of codimension two, with its own kind and position, the orbit at the point of the curve
-             that it follows, and ``point``, the number of that point
+             critical multipliers; the attribute ``report`` is the report on the search
+    corners  one row per point of codimension two: its kind and position, the orbit at the preceding point of its curve,
+             and ``point``, the number of that point
     """
 
     points: "pd.DataFrame"
@@ -37,7 +37,10 @@ class CurveFrames(NamedTuple):
 
 
 def to_frames(curves: Curves, kind: str | None = None) -> CurveFrames:
-    """Return curves as tables, of one kind or all. Raise InputError for an unknown kind."""
+    """Return curves as pandas tables of points and of points of codimension two.
+
+    ``kind`` selects one kind of curve; None selects all. Raise InputError for an unknown kind.
+    """
     import pandas as pd
 
     if kind is not None:

@@ -1,10 +1,12 @@
-"""The search for a plane's curves, as stages of tasks that depend only on the results of earlier stages.
+"""The search for the curves that bound the regions of a two-parameter atlas, as stages of tasks.
 
-The curves found therefore do not depend on the number of workers, nor on when a search was stopped and resumed.
+A task depends only on results of earlier stages. The curves found therefore do not depend on the number of workers, nor
+on when a search was stopped and resumed. An edge lies between two neighbouring cells with different orbits; an event is
+a bifurcation or a graze of an orbit.
 
-1. Find which orbits exist on the other side of an edge too, where only basins of attraction end.
-2. At one edge of each pair of regions, find the events of the orbit that does not.
-3. Follow the curves of these events, one per kind and orbit at a time; an event on a known curve needs none.
+1. Find the edges across which a cell's orbit still exists and attracts. Only basins of attraction end there.
+2. At one edge of each pair of regions, find the events at which the orbit of a cell ceases to exist or to attract.
+3. Follow the curves of these events, at a time one per kind of event and orbit. Skip events that lie on a known curve.
 4. Find which edges these curves explain. Return to 2 for the remaining edges, the longest borders first.
 """
 
@@ -26,14 +28,16 @@ from atlas.orbits.curves.to_json import curve_from_json, event_from_json
 from workers.continuation import Itinerary
 
 CHUNK = 128
-"""Number of edges in a task."""
+"""Maximum number of pairs of cells, or of passages of curves, in one task."""
 
 WAY = 1000
-"""Maximum number of points of a curve in either direction."""
+"""Maximum number of points of a curve, to either side of the event from which it is followed."""
 
 SHORT_REACH, LONG_REACH = 2.0, 12.0
-"""Numbers of cells over which a cell's orbit is followed: past an edge at which it ends; where only basins end,
-further.
+"""Distances, in cells, over which a cell's orbit is followed to find the event at which it ends.
+
+SHORT_REACH applies if the orbit ceases at the edge. LONG_REACH applies if only its basin ends there and the orbit
+continues.
 """
 
 FAR = "the orbits of its cells have no event within one cell"
@@ -44,12 +48,13 @@ Result = dict[str, Any]
 
 @dataclass
 class _Event:
-    """An event that was found.
+    """An event, that is a bifurcation or a graze, that was found near an edge and whose curve may still have to be
+    followed.
 
-    part    name of the part with its record
+    part    name of the part of the store, an intermediate result, in which the event is recorded
     number  index of the event in the part
     event   the event
-    edge    edge that the event may explain, -1 for none
+    edge    index of the edge that the event may explain, -1 for none
     """
 
     part: str
@@ -60,18 +65,18 @@ class _Event:
 
 @dataclass
 class CurveSearch:
-    """The state of a search. ``tasks`` returns the next tasks, and ``add_results`` takes their results.
+    """The state of a search for curves. ``tasks`` returns the next tasks, and ``add_results`` takes their results.
 
-    plane        the plane
+    plane        the atlas in which curves are searched
     settings     the budget
     orbits       orbits of the cells
     curves       curves found
-    curve_names  names of the parts of the curves
+    curve_names  for each curve, the name of the part of the store, an intermediate result, that holds it
     troubles     errors in words
     n_searched   number of edges searched
     points       number of points of all curves
     dropped      number of events not followed for lack of budget
-    why          reason, in words, why a searched edge stays unexplained, unless a curve explains it
+    why          reason, in words, for each searched edge that no curve explains, by the index of the edge
     """
 
     plane: CurvePlane
@@ -99,7 +104,10 @@ class CurveSearch:
         self.doing = ""
 
     def tasks(self) -> dict[str, Task]:
-        """Return the tasks of the next stage by the names of their parts; empty at the end."""
+        """Return the tasks of the next stage; empty at the end of the search.
+
+        The key of a task is the name under which its result is stored, as a part of the store.
+        """
         for tasks in self._stages:
             if tasks:
                 named_tasks = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(tasks)}
@@ -111,11 +119,13 @@ class CurveSearch:
 
     @property
     def n_settled(self) -> int:
-        """Number of edges about which nothing more can be found."""
+        """Number of edges that the search need not look at again: explained, searched without success, or without a
+        change.
+        """
         return int(np.sum(self.verdicts != OPEN))
 
     def add_results(self, results: list[Result]) -> None:
-        """Set the results of the last tasks, in their order."""
+        """Take the results of the tasks that ``tasks`` returned last, in the order of these tasks."""
         self._results = results
 
     def _run(self) -> Iterator[list[Any]]:
@@ -165,7 +175,12 @@ class CurveSearch:
                 self._pending.append(_Event(name, number, event, event_edge))
 
     def _follow(self) -> Iterator[list[Any]]:
-        """Drop the events that lie on known curves, and follow the first event of each signature."""
+        """Yield tasks that follow the curves of the events found: of those with equal signature, only the first
+        event's.
+
+        Events on known curves are dropped. Events with an equal signature probably lie on the curve of the first and
+        are checked again when it is known.
+        """
         self.doing = "following curves"
         left, followed_events, signatures = [], list[_Event](), set[Any]()
         for met in self._pending:
@@ -200,8 +215,10 @@ class CurveSearch:
                 self.why[met.edge] = f"no curve of its {met.event.kind.replace('_', ' ')}: {result.get('trouble')}"
 
     def _explain(self, known: int) -> Iterator[list[Any]]:
-        """Find the edges that the curves from number ``known`` on pass, and the cells of these edges whose orbits they
-        are of.
+        """Yield tasks that find which edges the new curves explain, and mark these edges.
+
+        A curve explains an edge if it passes within one cell and its orbit becomes the orbit of a cell of the edge. New
+        are the curves from index ``known`` on.
         """
         self.doing = "searching for the edges that curves explain"
         unexplained = np.flatnonzero((self.verdicts == OPEN) | (self.verdicts == TRIED))
@@ -221,8 +238,10 @@ class CurveSearch:
             self._note(result)
 
     def _may_be(self, itinerary: Itinerary, cell: int) -> bool:
-        """Return True if a cell has an orbit with the periods and impacts of a curve's itinerary, or of its mirror
+        """Return True if a cell's orbit has the period and the numbers of impacts of an itinerary, or of its mirror
         image.
+
+        An itinerary is the sequence of impacts and other events of an orbit.
         """
         plane = self.plane
         counts = {itinerary.impacts(1), itinerary.impacts(-1)}

@@ -1,4 +1,4 @@
-"""The result of a search: each curve once, in a fixed order, with a report."""
+"""The result of a search for curves: each curve once, in a fixed order, with a report on the search."""
 
 from collections import Counter
 from dataclasses import asdict
@@ -15,7 +15,9 @@ from atlas.orbits.curves.table import KINDS, CodimTwoPoint, Curve, Curves
 
 
 def finish_search(search: CurveSearch) -> Curves:
-    """Return the curves of a search that has ended, with its report."""
+    """Return the curves of a search that has ended, without duplicates and in a fixed order, with the report on the
+    search.
+    """
     retained_curves = [curve for k, curve in enumerate(search.curves) if not _goes_on(search, k)]
     model = search.orbits.family.model
     curves = sorted(
@@ -25,14 +27,14 @@ def finish_search(search: CurveSearch) -> Curves:
 
 
 def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
-    """Return the report: the curves found, and the searches not tried.
+    """Return the report on a search: the numbers of edges explained, unexplained and not searched, and the errors.
 
-    digest               digest of what the curves belong to
+    digest               digest of the cells and of the budget
     settings             budget of the search
     edges                counts of edges between cells, see below
     looked               number of edges searched
     points               number of points of all curves
-    events_not_followed  number of events not followed for lack of budget
+    events_not_followed  number of bifurcations and grazes whose curves were not followed for lack of budget
     duplicates           number of curves omitted, since a later curve contains them
     unexplained          for each border and reason: the number of ``edges`` that were searched and stay unexplained,
                          the midpoint of the first (``at``), and ``why``, in words
@@ -61,10 +63,10 @@ def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
 
 
 def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
-    """Return a curve as it is stored: from the end with the smaller x, or y if x is equal.
+    """Convert a curve to the form in which it is stored: in order from the end with the smaller x, or y if x is equal.
 
-    If ``mirrored``, the mirror images of its orbits are orbits too, and the one with more impacts above stands for
-    both.
+    If ``mirrored``, the mirror image of each orbit is an orbit too, with the impacts at the two stops exchanged. The
+    numbers stored are then those of the orbit with more impacts at the upper stop.
     """
     itinerary = followed.event.orbit.itinerary
     hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in followed.orbits], dtype=np.int64)
@@ -87,7 +89,11 @@ def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
 
 
 def edge_share(counts: dict[str, int]) -> float:
-    """Return the share of edges that is explained; NaN if there are no edges."""
+    """Return the share of the edges between cells that a curve or a border of basins explains; NaN if there are no
+    edges.
+
+    ``counts`` has the counts of one group of edges, as in ``report_of``.
+    """
     return (counts["curve"] + counts["basins"]) / counts["all"] if counts["all"] else float("nan")
 
 
@@ -105,7 +111,10 @@ def _unexplained(search: CurveSearch) -> list[dict[str, Any]]:
 
 
 def _goes_on(search: CurveSearch, k: int) -> bool:
-    """Return True if a later curve passes through both ends of this one, which ended early."""
+    """Return True if curve number k is part of a curve that was found later.
+
+    Tested are its middle and the points next to its two ends.
+    """
     curve = search.curves[k]
     ends = [
         curve.event._replace(
@@ -122,7 +131,10 @@ def _goes_on(search: CurveSearch, k: int) -> bool:
 
 
 def _after(points: NDArray[np.float64], at: NDArray[np.float64]) -> int:
-    """Return the index of the curve's point that a position follows: the first end of the nearest chord."""
+    """Return the index of the curve point after which a position (2,) on the curve comes.
+
+    This is the first end of the nearest chord, the straight line between two consecutive points.
+    """
     if len(points) < 2:
         return 0
     width = np.ptp(points, axis=0)

@@ -1,4 +1,4 @@
-"""The budget of a search for curves."""
+"""The budget of a search for curves, and the version of its method."""
 
 import hashlib
 from dataclasses import asdict, dataclass, fields
@@ -9,17 +9,17 @@ from atlas.orbits.curves.plane import SMALL, CurvePlane
 from workers import SOLVER_VERSION
 
 VERSION = 5
-"""Version of the search; incremented whenever any curve may change."""
+"""Version of the method of search; incremented whenever any curve that it finds may change."""
 
 
 @dataclass(frozen=True)
 class CurveSettings:
     """The budget of a search, in counts, so that no result depends on a machine's speed.
 
-    edges      maximum number of edges at which events are searched
+    edges      maximum number of edges between cells that are searched for a bifurcation or a graze
     curves     maximum number of curves that are followed
     points     maximum number of points of all curves; the table marks a curve that this limit ends
-    min_cells  minimum size, in cells, of a region near which events are searched; 1 takes long
+    min_cells  minimum size, in cells, of a region whose edges are searched; 1 takes long
 
     Raise InputError for a value below 1.
 
@@ -40,7 +40,7 @@ class CurveSettings:
                 raise InputError(f"{limit.name}: found {brief_repr(value)}, must be a whole number, 1 or more")
 
     def digest(self, plane: CurvePlane) -> str:
-        """Return the digest of the cells and the budget."""
+        """Return the digest of a search: of the cells, the budget and the version of the method."""
         return hashlib.sha256(
             repr((plane.digest, sorted(asdict(self).items()), SOLVER_VERSION, VERSION)).encode()
         ).hexdigest()

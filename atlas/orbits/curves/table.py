@@ -1,4 +1,4 @@
-"""The curves of a plane as values, and as arrays in the group of a store."""
+"""The curves of a plane as data classes, and their conversion to and from the arrays of a group in the store."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,13 +14,15 @@ from atlas.store.schema import StoredArray
 from atlas.store.store import AtlasStore
 
 VERSION = 1
-"""Version of the form of the group; a group of another version counts as absent."""
+"""Version of the arrays' layout in the store. Curves stored with another version count as absent."""
 
 KINDS = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
     "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "exchange", "hopf",
 )  # fmt: skip
-"""Events with curves. Where an impact is lost, the orbit without it grazes: the curve of grazes is stored."""
+"""Kinds of events that have curves. If an impact is lost, the curve is stored as that of the graze of the orbit without
+the impact.
+"""
 
 
 class CodimTwoPoint(NamedTuple):
@@ -29,7 +31,7 @@ class CodimTwoPoint(NamedTuple):
     kind   cusp, fold_flip, resonance_1_1 to resonance_1_4, double_graze, graze_fold and the like
     x      value of the x axis
     y      value of the y axis
-    after  index of the curve's point that it follows or is
+    after  index of the curve's point at this position, or else just before it
     """
 
     kind: str
@@ -40,7 +42,7 @@ class CodimTwoPoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A curve of one event of one orbit in a plane.
+    """A curve in a two-parameter plane on which one orbit meets one event: a bifurcation, a graze or the like.
 
     kind                one of KINDS
     period              period of the orbit in forcing periods
@@ -54,8 +56,8 @@ class Curve:
     corners             its points of codimension two, in order along the curve
 
     Numbers of impacts may change along a curve where nothing jumps. An orbit and its mirror image have the same curves;
-    the numbers are those of the one with more impacts at the upper stop. Where ``unstable`` is 0 the orbit is otherwise
-    stable, and the curve bounds a region in which an attractor can exist.
+    the numbers are those of the orbit with more impacts at the upper stop. Where ``unstable`` is 0 the orbit is
+    otherwise stable, and the curve bounds a region in which an attractor can exist.
     """
 
     kind: str
@@ -70,39 +72,49 @@ class Curve:
 
     @property
     def label(self) -> str:
-        """The orbit as n-p-q: periods, impacts at the upper and at the lower stop; in turn if these change."""
+        """Name of the orbit as n-p-q: period, impacts at the upper stop, impacts at the lower stop.
+
+        If the numbers of impacts change along the curve, the names are listed in order along it.
+        """
         counts = zip(self.impacts_upper.tolist(), self.impacts_lower.tolist(), strict=True)
         return ", ".join(dict.fromkeys(motion_name(self.period, upper, lower) for upper, lower in counts))
 
     @property
     def is_bounding(self) -> NDArray[np.bool_]:
-        """The mask of points (N,) at which all multipliers but the critical are stable."""
+        """The mask (N,) of points at which all multipliers but the critical ones lie in the unit circle.
+
+        There the orbit is stable on one side of the curve.
+        """
         return self.unstable == 0
 
     @property
     def stable_parts(self) -> list[tuple[int, int]]:
-        """Indices of the first and the last point of each part on which all multipliers but the critical are stable."""
+        """The intervals of the curve on which all multipliers but the critical ones lie in the unit circle.
+
+        Each interval is given by the indices of its first and its last point.
+        """
         steps = self.is_bounding[1:] & self.is_bounding[:-1]
         ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
         return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
 
     @property
     def stable_lines(self) -> list[NDArray[np.float64]]:
-        """The parts along which the orbit is otherwise stable, as lines (N, 2)."""
+        """The points (N, 2) of each interval on which all multipliers but the critical ones lie in the unit circle."""
         return [self.points[first : last + 1] for first, last in self.stable_parts]
 
     @property
     def stable_corners(self) -> list[CodimTwoPoint]:
-        """The points of codimension two in or next to a part along which the orbit is otherwise stable."""
+        """The points of codimension two in or next to an interval of ``stable_parts``."""
         return [
             corner for corner in self.corners if self.is_bounding[max(0, corner.after - 1) : corner.after + 2].any()
         ]
 
     @property
     def loose_ends(self) -> list[NDArray[np.float64]]:
-        """Ends (2,) of otherwise stable parts inside the plane, at no point of codimension two.
+        """The ends (2,) of the intervals of ``stable_parts`` that lie inside the plane, away from points of codimension
+        two.
 
-        There the search gave up, the orbit ceased, or it is unstable beyond.
+        At such an end the search gave up, the orbit ceased, or it is unstable beyond.
         """
         why = {0: self.ends[0], len(self.points) - 1: self.ends[1]}
         ends = [k for part in self.stable_parts for k in part if why.get(k) not in ("edge", "closed")]
@@ -111,11 +123,11 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """All curves of a plane.
+    """All curves of a plane, with the report on their search.
 
     axes    names of the axes, x first
     curves  the curves
-    report  report on the search, plain values by name, see ``atlas.orbits.curves.search_result.report_of``
+    report  report on the search as dicts and numbers, see ``atlas.orbits.curves.search_result.report_of``
     """
 
     axes: tuple[str, str]
@@ -134,7 +146,7 @@ class Curves:
 
 
 def write_curves(handle: AtlasStore, curves: Curves) -> None:
-    """Write the curves to the store's group, completely or not at all, replacing any earlier ones."""
+    """Write the curves to their group in the store, completely or not at all, replacing any earlier curves."""
     attributes = {"version": VERSION, "axes": list(curves.axes), "report": dict(curves.report)}
     write_group(handle, CURVES, as_arrays(curves), attributes)
 
@@ -151,8 +163,9 @@ def read_curves(handle: AtlasStore) -> Curves | None:
 
 
 def as_arrays(table: Curves) -> dict[str, StoredArray]:
-    """Return the curves as arrays along ``curve``, ``point`` and ``corner``; ragged arrays are concatenated (CF's
-    row_size).
+    """Return the curves as arrays with the dimensions ``curve``, ``point`` and ``corner``.
+
+    Points of all curves are concatenated, with the number of points of each in ``row_size``, as in CF's ragged arrays.
     """
     curves = table.curves
     corners = [(number, corner) for number, curve in enumerate(curves) for corner in curve.corners]

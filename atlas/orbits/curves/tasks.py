@@ -1,4 +1,4 @@
-"""The tasks of a search as small records, and their execution."""
+"""The tasks of a search for curves as small records, and the function that executes them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,21 +13,24 @@ from atlas.orbits.curves.passages import CurvePassage, orbits_beside
 from atlas.orbits.curves.to_json import curve_as_json, event_as_json, event_from_json
 
 RESOLUTION = 0.02
-"""Maximum step along a curve, relative to the window."""
+"""Maximum step along a curve, relative to the width of the plane."""
 
 
 @dataclass(frozen=True)
 class PersistTask:
-    """Task: find which orbits, of the first cell of each pair, exist and attract at the second cell too."""
+    """Task: for each pair of cells, find whether the first cell's orbit exists and attracts at the second cell's
+    parameters.
+    """
 
     pairs: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
 class FindEventsTask:
-    """Task: find the events of the orbits of some cells, from each towards a neighbour, over ``cells`` cells.
+    """Task: find the bifurcations and grazes of the orbits of some cells, each followed towards a neighbouring cell.
 
-    The result has the events of the first direction with any.
+    directions  pairs of cell and neighbour; the result has the events of the first pair with any
+    cells       distance, in cells, over which an orbit is followed
     """
 
     directions: tuple[tuple[int, int], ...]
@@ -36,8 +39,11 @@ class FindEventsTask:
 
 @dataclass(frozen=True)
 class FollowTask:
-    """Task: follow the curve of event number ``event`` of the part ``part``, at most ``budget`` points in either
-    direction.
+    """Task: follow the curve of a bifurcation or graze that an earlier task found.
+
+    part    name of the stored result of the earlier task
+    event   index of the event in that result
+    budget  maximum number of points in either direction
     """
 
     part: str
@@ -47,9 +53,10 @@ class FollowTask:
 
 @dataclass(frozen=True)
 class MatchTask:
-    """Task: find which curves are of the orbits of cells that they pass.
+    """Task: find for curves that pass a cell whether the curve's orbit becomes the orbit of the cell.
 
-    ``passings`` are (name of the curve's part, chord, share of the chord, cell).
+    Each entry of ``passings`` is a tuple. It has the name of the stored result with the curve, the index of a chord
+    between two points of the curve, the position on the chord from 0 to 1, and the number of the cell.
     """
 
     passings: tuple[tuple[str, int, float, int], ...]
@@ -57,11 +64,17 @@ class MatchTask:
 
 Task = PersistTask | FindEventsTask | FollowTask | MatchTask
 Known = Callable[[str], dict[str, Any]]
-"""Function that returns the result of an earlier task by the name of its part."""
+"""Function that returns the stored result of an earlier task by its name."""
 
 
 def run_task(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[str], FollowedCurve]) -> dict[str, Any]:
-    """Return the result of a task as plain values, exact to the bit."""
+    """Execute a task of a search and return its result as dicts, lists and numbers, which JSON stores exactly.
+
+    task      the task
+    orbits    orbits of the plane's cells
+    known     returns the result of an earlier task by its name
+    curve_of  returns the curve in the result of an earlier task by its name
+    """
     if isinstance(task, PersistTask):
         return {"persist": orbits.fates(np.array(task.pairs, dtype=np.int64)).tolist()}
     if isinstance(task, FindEventsTask):
@@ -77,7 +90,9 @@ def run_task(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[s
 
 
 def _looked(task: FindEventsTask, orbits: CellOrbits) -> dict[str, Any]:
-    """Return the events in the first direction that has any; otherwise the reason for each direction."""
+    """Do a FindEventsTask. Return the events of the first direction with any, or the reason for each direction
+    without.
+    """
     why, fates = list[str](), list[int]()
     for start, beyond in task.directions:
         result = events_between(orbits, start, beyond, task.cells)

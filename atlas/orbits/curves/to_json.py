@@ -1,4 +1,4 @@
-"""Events and curves as JSON text, exact to the bit."""
+"""Bifurcations, grazes and their curves as JSON text, with all floating-point numbers exact."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from workers.model.hybrid_modes import ModeCode
 
 
 def event_as_json(event: PlaneEvent) -> dict[str, Any]:
-    """Return an event as plain values."""
+    """Return a bifurcation or graze as dicts, lists, numbers and strings for JSON."""
     return {
         "kind": event.kind,
         "condition": list(event.condition),
@@ -23,7 +23,7 @@ def event_as_json(event: PlaneEvent) -> dict[str, Any]:
 
 
 def event_from_json(data: dict[str, Any]) -> PlaneEvent:
-    """Return the event from the result of ``event_as_json``."""
+    """Return the bifurcation or graze from the result of ``event_as_json``."""
     return PlaneEvent(
         kind=data["kind"],
         condition=Condition(*data["condition"]),
@@ -35,7 +35,11 @@ def event_from_json(data: dict[str, Any]) -> PlaneEvent:
 
 
 def curve_as_json(followed: FollowedCurve) -> dict[str, Any]:
-    """Return a curve as plain values; orbits share their itineraries, each with the condition on them."""
+    """Return a curve as dicts, lists, numbers and strings for JSON.
+
+    Itineraries, each the sequence of impacts and other events of an orbit, are listed once, with the condition that
+    defines the curve for them. Orbits refer to them by index.
+    """
     pairs = [
         (orbit.itinerary, condition) for orbit, condition in zip(followed.orbits, followed.conditions, strict=True)
     ]
@@ -76,7 +80,7 @@ def curve_from_json(data: dict[str, Any]) -> FollowedCurve:
 
 
 def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
-    """Return an orbit as plain values."""
+    """Return an orbit as dicts, lists, numbers and strings for JSON."""
     return {
         "itinerary": list(orbit.itinerary),
         "times": orbit.times.tolist(),

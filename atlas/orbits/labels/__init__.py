@@ -1,1 +1,1 @@
-"""Labels of coexisting attractors that persist from cell to cell: attractors of one branch share a label."""
+"""Labels of coexisting attractors: attractors of different cells share a label if they are on one branch of orbits."""

@@ -1,4 +1,4 @@
-"""The attractors of a finished atlas as rows of arrays, and candidates for links between neighbouring cells."""
+"""The attractors of a finished atlas that are periodic orbits, as arrays, and pairs of them in neighbouring cells."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +17,8 @@ NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AttractorOrbitTable(OrbitTable):
-    """The A orbits among the attractors of a finished atlas; only orbits can be followed to other parameters.
+    """The attractors of a finished atlas that are periodic orbits, as A rows; only orbits can be followed to other
+    parameters.
 
     axes              names of the axes, in the order of ``shape``
     shape             number of cells along each dimension
@@ -25,8 +26,8 @@ class AttractorOrbitTable(OrbitTable):
     points (C, axes)  parameters of every cell, in C order
     cell (A,)         cell of each orbit; orbits are in the order of cells and of their index there
     rank (A,)         index of the orbit among the attractors of its cell
-    share (A,)        share of the attractor
-    twin (A,)         the orbit of its cell that is its mirror image, itself if it is symmetric; -1 if there is none
+    share (A,)        share of the cell's initial states that reach the attractor
+    twin (A,)         row of its mirror image in the same cell, its own row if it is symmetric; -1 if there is none
     """
 
     shape: tuple[int, ...]
@@ -42,27 +43,31 @@ class AttractorOrbitTable(OrbitTable):
 
     @property
     def proven(self) -> NDArray[np.bool_]:
-        """The mask of proven rows: all."""
+        """The mask (A,) of rows with a periodic orbit: True for all."""
         return np.ones(len(self), dtype=np.bool_)
 
     def values(self, rows: Rows) -> Array:
-        """Return the parameters (R, axes) of the cells of orbits."""
+        """Return the axes' parameters (R, axes) of the cells of the given R rows."""
         return np.asarray(self.points[self.cell[rows]])
 
     @cached_property
     def row(self) -> Rows:
-        """The orbit (C, keep) of each cell and attractor, -1 if there is none."""
+        """The row (C, keep) of each attractor of each cell, -1 if there is no attractor or it is no periodic orbit."""
         row = np.full((len(self.points), self.keep), -1)
         row[self.cell, self.rank] = np.arange(len(self))
         return row
 
     def same_kind_pairs(self, away: int = 1) -> Rows:
-        """Return the pairs (N, 2) of orbits of one kind in cells that are ``away`` cells apart along a dimension."""
+        """Return the pairs (N, 2) of rows with one kind of orbit in cells that are ``away`` cells apart along a
+        dimension.
+
+        One kind means equal regime, period, impacts and symmetry.
+        """
         pairs = self.neighbour_pairs(away)
         return np.asarray(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])
 
     def neighbour_pairs(self, away: int = 1) -> Rows:
-        """Return the pairs (N, 2) of orbits in cells that are ``away`` cells apart along a dimension."""
+        """Return the pairs (N, 2) of rows whose orbits are in cells that are ``away`` cells apart along a dimension."""
         number = np.arange(len(self.points)).reshape(self.shape)
         parts = [np.zeros((0, 2), dtype=np.int64)]
         for dim in range(number.ndim):
@@ -74,11 +79,11 @@ class AttractorOrbitTable(OrbitTable):
 
 
 def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
-    """Return the cells (A + U,) of all orbits and of their U unseen mirror images, and the rows (A + U,) of mirror
-    images.
+    """Extend the A orbits by their U unseen mirror images, which no initial state has reached.
 
-    No initial state has reached an unseen mirror image. The row of a mirror image is the orbit's own if it is
-    symmetric, and -1 if the machine is not.
+    Return the cell (A + U,) of each orbit and unseen mirror image, and the row (A + U,) of its mirror image. Orbits
+    without an unseen mirror image have in the second array their own row if they are symmetric, and -1 if the machine
+    is not.
     """
     table, count = attractors, len(attractors)
     image = np.where(table.symmetric, np.arange(count), table.twin)
@@ -91,10 +96,10 @@ def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
 
 
 def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
-    """Return the orbits of a store, and how many attractors of any kind it has.
+    """Read the periodic orbits of a store as a table, and count its attractors of any kind.
 
-    Raise InputError unless it is a finished atlas of all attractors over axes. Raise ChunkError if a chunk is missing
-    or damaged.
+    Raise InputError unless the store is a finished atlas of all attractors over axes. Raise ChunkError if a chunk is
+    missing or damaged.
     """
     spec = handle.spec
     if not spec.coexistence:

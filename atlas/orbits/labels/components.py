@@ -1,9 +1,9 @@
-"""Branches of attractors: connected components along links, but never with two attractors of one cell.
+"""Group attractors into branches: connected components along links, but never with two attractors of one cell.
 
 Around the end of a fold or a cusp, a chain of links through other cells may join two attractors of one cell, like two
-sheets of one surface. There the chain is cut. Links are taken in the order of how little the orbit changes. A link that
-would put two attractors of a cell on one branch is left out. A branch is therefore cut where its orbit changes most. A
-link and its mirror image are taken together or not at all, so that branches have mirror images.
+sheets of one surface. There the chain is cut. Links are taken in ascending order of the change of their orbit. A link
+that would put two attractors of a cell on one branch is left out. A branch is therefore cut where its orbit changes
+most. A link and its mirror image are taken together or not at all, so that branches have mirror images.
 """
 
 from itertools import combinations
@@ -15,13 +15,15 @@ Rows = NDArray[np.int64]
 
 
 def branches(count: int, pairs: Rows, change: NDArray[np.float64], cell: Rows, image: Rows) -> tuple[Rows, int]:
-    """Return the branch (count,) of each attractor, numbered by its first attractor, and the number of omitted links.
+    """Group attractors that are connected by links into branches, without two attractors of one cell on a branch.
 
     count           number of attractors
     pairs (L, 2)    links
     change (L,)     change of the orbit along each link: the least change is taken first, equal ones in order
     cell (count,)   cell of each attractor
     image (count,)  mirror image of each attractor, -1 if there is none
+
+    Return the branch (count,) of each attractor, numbered by its first attractor, and the number of omitted links.
 
     >>> branches(3, np.array([[0, 1], [1, 2]]), np.array([0.1, 0.2]), np.array([0, 1, 0]), np.array([-1, -1, -1]))
     (array([0, 0, 1]), 1)

@@ -1,12 +1,13 @@
-"""Links between attractors of neighbouring cells: the orbit of one is followed to the other's parameters.
+"""Links between attractors of neighbouring cells that are one orbit: the orbit is followed from one cell to the other.
 
-Newton's method on its state and impact times finds the orbit there, from one cell to the next in a few steps. The orbit
-is an attractor of that cell if one of its section states is the stored state of the attractor; its mirror image does
-not count. A link counts if both directions agree, since close to a bifurcation Newton's method may find another orbit.
-In symmetric machines, mirror images of linked orbits are linked too, whether Newton's method finds the link or not.
+Newton's method on the initial state and the impact times finds the orbit at the other cell's parameters, in a few
+steps. The orbit is an attractor of that cell if one of its section states, taken once per period, is the stored state
+of the attractor. Its mirror image does not count. A link counts if both directions agree, since close to a bifurcation
+Newton's method may find another orbit. In symmetric machines, mirror images of linked orbits are linked too, whether
+Newton's method finds the link or not.
 
-Remaining orbits of machines with modes are followed along their branches, which continue where contacts and slides
-change though nothing jumps.
+A machine may have modes, that is laws of motion between events, such as sliding and sticking. Its remaining orbits are
+followed along branches, which continue where contacts and slides change though nothing jumps.
 """
 
 from typing import NamedTuple
@@ -24,19 +25,24 @@ from workers.continuation.orbits import OrbitBatch, many_of
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)
-"""Numbers of steps from one cell to the next: the first attempt, and the attempt after a failure."""
+"""Numbers of equal parameter steps in which Newton's method follows an orbit from one cell to the next.
+
+The first number is for the first attempt, the second for the attempt after a failure.
+"""
 
 MAX_GAP_CELLS = 4
-"""Maximum number of cells over which an orbit is followed to another one, if no chain of neighbours connects the
-two.
+"""Maximum distance, in cells, over which an orbit is followed to another orbit that no chain of links connects with
+it.
 """
 
 STEP = 0.5
-"""Maximum step of a branch from one cell to the next, relative to that distance."""
+"""Maximum step of a branch from one cell to the next, relative to the distance between the cells."""
 
 
 class OrbitLinks(NamedTuple):
-    """Links between orbits. Rows from A on are unseen mirror images.
+    """Links between orbits of neighbouring cells.
+
+    Rows below A are stored orbits. Rows from A on are unseen mirror images: no initial state has reached them.
 
     pairs (L, 2)       rows of linked orbits; with a pair its mirror image is linked, with the same change
     change (L,)        change of the orbit between the cells: the largest of an impact time, in radians of the force, or
@@ -60,7 +66,7 @@ def find_links(attractors: AttractorOrbitTable) -> OrbitLinks:
     """Return all links between orbits of neighbouring cells, followed in both directions.
 
     Motion without impact is the same orbit in all cells. Orbits that these links do not connect are followed over up to
-    MAX_GAP_CELLS cells, whose initial states may have missed them.
+    MAX_GAP_CELLS cells, since the initial states of the cells between may have missed the orbit.
     """
     # in machines with modes, motion without impact depends on where they slide
     still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0) & (not attractors.system.has_modes)
@@ -91,7 +97,10 @@ def find_links(attractors: AttractorOrbitTable) -> OrbitLinks:
 
 
 def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
-    """Return links with their mirror images, each once and in order, with the least known change of both."""
+    """Return links together with the links between the mirror images of their orbits, each once and sorted.
+
+    A link and its mirror image get the smaller of their two changes.
+    """
     images = image[pairs]
     has_image = (images >= 0).all(axis=1)
     every = np.sort(np.concatenate([pairs, images[has_image]]), axis=1)
@@ -102,15 +111,18 @@ def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
 
 
 def _apart(candidates: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
-    """Return the mask of pairs (N, 2) that no chain of other pairs (L, 2) connects."""
+    """Return the mask of candidate pairs (N, 2) whose two orbits no chain of the links ``pairs`` (L, 2) connects.
+
+    ``count`` is the number of orbits.
+    """
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     _, part = connected_components(graph, directed=False)
     return np.asarray(part[candidates[:, 0]] != part[candidates[:, 1]])
 
 
 def _left_over(attractors: AttractorOrbitTable, pairs: Rows) -> Rows:
-    """Return pairs (N, 2) of orbits of one period in neighbouring cells, of which one has no link to the cell of the
-    other.
+    """Return pairs (N, 2) of orbits of one period in neighbouring cells, neither of which is linked to the other's
+    cell.
     """
     table = attractors
     orbits, others = np.concatenate([pairs, pairs[:, ::-1]]).T
@@ -123,17 +135,17 @@ def _left_over(attractors: AttractorOrbitTable, pairs: Rows) -> Rows:
 
 
 class AttractorOrbits(StoredOrbits):
-    """The orbits of an atlas of all attractors, each to be followed to other cells."""
+    """The periodic orbits of an atlas of all attractors, solved by Newton's method and followed to other cells."""
 
     def __init__(self, attractors: AttractorOrbitTable) -> None:
         super().__init__(attractors)
         self.attractors = attractors
 
     def follow_pairs(self, pairs: Rows, away: int) -> tuple[NDArray[np.bool_], Array]:
-        """Return the mask of pairs (N, 2) whose first orbit becomes the second when followed to its cell, and the
-        change.
+        """Follow the first orbit of each pair (N, 2) to the cell of the second orbit.
 
-        ``away`` is the distance between the cells, in cells.
+        Return the mask (N,) of pairs in which the first orbit becomes the second, and the change (N,) of the orbit on
+        the way. ``away`` is the distance between the cells, in cells.
         """
         reached, change = np.zeros(len(pairs), dtype=np.bool_), np.full(len(pairs), np.nan)
         for rows, orbits in self.group_by_itinerary(pairs[:, 0]):
@@ -141,7 +153,9 @@ class AttractorOrbits(StoredOrbits):
         return reached, change
 
     def _reach_alike(self, pairs: Rows, orbits: list[Orbit], away: int) -> tuple[NDArray[np.bool_], Array]:
-        """Do the work of ``follow_pairs`` for orbits of one itinerary."""
+        """Do the work of ``follow_pairs`` for first orbits that all have the same sequence of impacts and other
+        events.
+        """
         attractors = self.attractors
         start_values, end_values = (attractors.values(pairs[:, k]) for k in (0, 1))
         arrived = self.continue_orbits(orbits, start_values, end_values, STEPS[0] * away)
@@ -165,8 +179,10 @@ class AttractorOrbits(StoredOrbits):
         return reached, _change(many_of(orbits, start_values), arrived, self.family.model(end_values).omega)
 
     def follow_along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
-        """Return those pairs (N, 2) that are one orbit on a branch from cell to cell, and the change of its state.
+        """Return those pairs (N, 2) of orbits that a branch from cell to cell connects, and the change of the state for
+        each.
 
+        The change is the largest of any component of the section state, relative to the largest component on the orbit.
         A branch that turns back on the way connects no pair.
         """
         attractors, pairs_on_branches, change = self.attractors, list[list[int]](), list[float]()
@@ -186,7 +202,11 @@ class AttractorOrbits(StoredOrbits):
         return np.array(pairs_on_branches, dtype=np.int64).reshape(-1, 2), np.array(change)
 
     def _along_branch(self, row: int, cell: int) -> Array | None:
-        """Return the section states (n, 2d) of an orbit at a neighbouring cell; None if its branch ends before."""
+        """Follow the branch of an orbit to the parameters of a neighbouring cell and return its section states (n, 2d)
+        there.
+
+        None if the branch ends or turns back before.
+        """
         attractors, orbit = self.attractors, self.orbit_of_row(row)
         start_point, end_point = attractors.points[attractors.cell[row]], attractors.points[cell]
         axis = int(np.flatnonzero(start_point != end_point)[0])

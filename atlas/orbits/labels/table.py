@@ -1,7 +1,8 @@
-"""The labels of an atlas as a value, and in its store.
+"""The labels of an atlas as a data class, and their group in its store.
 
-A label is the number of a branch: of attractors of neighbouring cells that are one orbit, followed from cell to cell.
-Branches are numbered by the sum of their shares over all cells, the largest first, equal ones by their first cell.
+A label is the number of a branch. A branch is a set of attractors of neighbouring cells that are one orbit, followed
+from cell to cell. Branches are numbered by the sum of their basin shares over all cells, the largest first, equal ones
+by their first cell.
 """
 
 from collections.abc import Mapping
@@ -22,10 +23,10 @@ from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, REGIME, UNKNOWN_LABEL, Variable, result_named
 
 VERSION = 4
-"""Version of the search for labels; incremented whenever any label may change."""
+"""Version of the method that finds labels; incremented whenever any label may change."""
 
 BRANCH = "branch"
-"""Dimension of the table, with one entry per label."""
+"""Name of the dimension, with one entry per label, of the stored table of labels."""
 
 OF_ALL = replace(LABEL, long_name="branch that the attractor is on; -1 if none")
 KINDS = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric")
@@ -35,7 +36,9 @@ OF_BRANCHES = (
     Variable("mirror", "int32", -1, "label of the branch of mirror images; its own where it is symmetric; -1 if none"),
     *map(result_named, KINDS),
 )
-"""The label of an attractor; the columns of the table, with the results that all orbits of a branch have in common."""
+"""Columns of the stored table of labels: size, sum of basin shares, label of the mirror images, and the results that
+all orbits of a branch have in common.
+"""
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,14 @@ class LabelCounts:
     """Counts of the attractors of an atlas and of their labels.
 
     attractors  number of stored attractors
-    orbits      number of attractors that are orbits; chaos and tori are not
+    orbits      number of attractors that are periodic orbits; chaos and tori are not
     followed    number of orbits that Newton's method finds; other attractors have no label
     branches    number of labels
     alone       number of labels with a single cell
     links       number of pairs in neighbouring cells that are one orbit
     cut         number of links left out, since they would put two attractors of one cell on a branch
-    one_way     number of pairs that are one orbit only as followed from one of them, and are not linked
+    one_way     number of pairs that are not linked, since the orbit of one cell becomes that of the other, but not the
+                reverse
     """
 
     attractors: int
@@ -64,11 +68,11 @@ class LabelCounts:
 
 @dataclass(frozen=True, eq=False)
 class AttractorLabels:
-    """The label of every attractor of every cell, and the branches by label.
+    """The label of every attractor of every cell, and a table of the B branches by label.
 
     values (cells..., keep)  label of each attractor, -1 for none
     cells (B,)               number of cells of each branch
-    total (B,)               sum of its shares
+    total (B,)               sum of its basin shares over all cells
     mirror (B,)              label of its mirror image, its own if it is symmetric, -1 if there is none
     kinds                    results that all orbits of a branch have in common, (B,) each
     count                    counts of attractors and labels
@@ -83,7 +87,7 @@ class AttractorLabels:
 
 
 def labels_of(handle: AtlasStore) -> AttractorLabels:
-    """Return the labels of a finished atlas of all attractors. Errors are those of ``attractors_of``."""
+    """Find the labels of a finished atlas of all attractors. Errors are those of ``attractors_of``."""
     every, n_attractors = attractors_of(handle)
     links = find_links(every)
     branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
@@ -114,7 +118,13 @@ def labels_of(handle: AtlasStore) -> AttractorLabels:
 
 
 def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
-    """Return branches (A,), -1 for none, numbered by the sum of their shares; and these sums (B,)."""
+    """Number branches anew by the sum of their shares, the largest first.
+
+    branch (A,)  branch of each orbit, -1 for none
+    share (A,)   basin share of each orbit
+
+    Return the new numbers (A,) and the sums (B,).
+    """
     known = branch >= 0
     _, first, inverse = np.unique(branch[known], return_index=True, return_inverse=True)
     total = np.bincount(inverse, weights=share[known], minlength=len(first))
@@ -142,7 +152,7 @@ def mirror_labels(number: Rows, branch: Rows, image: Rows) -> Rows:
 
 
 def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
-    """Write labels into the store, replacing any earlier ones."""
+    """Write the labels of an atlas into its store, as a table, replacing any earlier labels."""
     rows = {"cells": labels.cells, "total_share": labels.total, "mirror": labels.mirror} | dict(labels.kinds)
     label = StoredArray(labels.values.astype(LABEL.dtype), (*handle.spec.dims, ATTRACTOR), variable_attributes(OF_ALL))
     about = {
@@ -154,6 +164,6 @@ def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
 
 
 def stored_count(handle: AtlasStore) -> LabelCounts | None:
-    """Return the counts of the stored labels; None if there are none, or this version would find other labels."""
+    """Return the counts of the stored labels; None if there are none, or another version of the method found them."""
     stored = current_group(handle, LABELS, VERSION)
     return None if stored is None else LabelCounts(**stored[1]["count"])

@@ -78,6 +78,5 @@ ENTRY = PublishedEntry(
     commands=("atlas branch --system impact-pair --set R=0.6 --set nu=3 --along nu --from 0.8 --to 20",),
     picture=draw,
     caption="The lines are closed forms. Between them the symmetric orbit with two impacts in a period is stable. Other"
-    " motions coexist with it. Left of the solid line period 1 is asymmetric. In locking cells the mass rests on a"
-    " wall from time to time, and the period is unknown.",
+    " motions coexist with it. Left of the solid line period 1 is asymmetric.",
 )

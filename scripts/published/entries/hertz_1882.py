@@ -59,8 +59,8 @@ ENTRY = PublishedEntry(
     work="H. Hertz, J. reine angew. Math. 92 (1882) 156",
     place="greatest approach and duration of the impact of elastic balls",
     title="Impact on a Hertzian contact",
-    machine="A unit mass on a spring and a damper, forced by sin(omega t) against a contact of the law k d^1.5 at"
-    f" x = 0.3, in segments within {WITHIN:g}: `scripts/published/entries/hertz_1882.py`. The force and the spring act"
-    " during the contact too, the less so the stiffer it is.",
+    machine="A unit mass on a spring and a damper, forced by sin(omega t) against a contact k d^1.5 at x = 0.3, in"
+    f" segments within {WITHIN:g}: `scripts/published/entries/hertz_1882.py`. Force and spring act during the contact"
+    " too, less so in a stiffer one.",
     statements=statements,
 )

@@ -107,7 +107,7 @@ ENTRY = PublishedEntry(
     work="P. J. Holmes, J. Sound Vib. 84 (1982) 173",
     place="existence and stability of the orbits with one bounce in n periods of the table",
     title="Ball on a shaken table",
-    machine="System `bouncing-ball`, omega = g = 1, so that A is the acceleration a = A omega² / g.",
+    machine="System `bouncing-ball`, omega = g = 1, so that A is a = A omega² / g.",
     statements=statements,
     example="holmes-1982",
     commands=("atlas branch --system bouncing-ball --set A=1.3 --set v=2 --set y=0.5 --along A --from 0.5 --to 2",),

@@ -76,6 +76,6 @@ ENTRY = PublishedEntry(
         " --observe impact_phase:stop -o phases.png",
     ),
     picture=draw,
-    caption="Phases of the table at all bounces of the motion, R = 0.5, from one start. The line is the closed form of"
-    " the orbit with one bounce in a period, which doubles at the dashed line.",
+    caption="Phases of all bounces from one start, R = 0.5. The line is the closed form of the orbit with one bounce in"
+    " a period, which doubles at the dashed line.",
 )

@@ -77,7 +77,7 @@ def entry(number: int, title: str, statements: Callable[[], Sequence[Statement]]
         link=LINK,
         place=f"Fig. {number}",
         title=title,
-        machine="System `two-mass` with the parameters of the figure; `python -m scripts.paper_figures` draws it.",
+        machine="System `two-mass`; `python -m scripts.paper_figures` draws the figure.",
         statements=statements,
         example="fig6" if number == 6 else "",
         commands=(command,),

@@ -112,8 +112,7 @@ ENTRY = PublishedEntry(
     work="S. F. Masri and T. K. Caughey, J. Appl. Mech. 33 (1966) 586",
     place="the steady motion with two impacts half a period apart, and its stability",
     title="Impact damper",
-    machine=f"System `energy-sink`, mu = {MU}, zeta = {ZETA}, R = {R}, xi = 0: nothing but impacts acts on the free"
-    " mass.",
+    machine=f"System `energy-sink`, mu = {MU}, zeta = {ZETA}, R = {R}, xi = 0.",
     statements=statements,
     commands=(
         "atlas branch --system energy-sink --set xi=0 --set omega=1 --set A=0.025 --along A --from 0.01 --to 0.06",

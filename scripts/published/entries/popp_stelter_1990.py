@@ -46,7 +46,7 @@ ENTRY = PublishedEntry(
     work="K. Popp and P. Stelter, Phil. Trans. R. Soc. A 332 (1990) 89",
     place="the self-excited limit cycle of the mass on a belt, here without damping, which has a closed form",
     title="Stick-slip on a belt",
-    machine="System `belt`, which has no force, zeta = 0.",
+    machine="System `belt`, zeta = 0.",
     example="belt",
     statements=statements,
     commands=("atlas point --system belt --set zeta=0 --set u=0.5",),
