@@ -31,6 +31,10 @@ CLOSING_DISTANCE, SAME_CYCLE = 1e-8, 1e-6
 """Maximum distances, relative to the motion. CLOSING_DISTANCE: of a state on a cycle from its image after one turn, and
 of a motion on the cycle. SAME_CYCLE: of states, and of periods, of one cycle solved twice."""
 
+UNDAMPED = 1e-14
+"""Damping of a mode of vibration, as a share of the highest frequency, that is due to rounding in gyroscopic machines.
+"""
+
 WORK_PER_PERIOD, MIN_WORK = 200, 1_000_000
 """Number of evaluations allowed to a cell per period of its budget, and minimum for all periods together.
 
@@ -75,10 +79,12 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
 
 
 def is_conservative(oscillators: Oscillator) -> Mask:
-    """Return the mask (N,) of machines that lose nothing: no damping, R = 1, no friction."""
+    """Return the mask (N,) of machines that lose nothing: R = 1, no friction, and no damping beyond rounding."""
     if oscillators.has_modes:
         return loses_nothing(oscillators.table.machines)
-    return np.asarray((oscillators.R == 1.0) & np.all(oscillators.gap.eta == 0.0, axis=-1))
+    eta, lam = np.abs(oscillators.gap.eta), np.abs(oscillators.gap.lam)
+    undamped = eta <= UNDAMPED * np.sqrt(np.max(lam, axis=-1, keepdims=True))
+    return np.asarray((oscillators.R == 1.0) & np.all(undamped, axis=-1))
 
 
 class CellCycle(NamedTuple):

@@ -159,7 +159,8 @@ def put_periodic(cells: CellBatch, rows: Rows) -> None:
     if cells.unforced:  # motion without loss swings for ever
         states = physical_states(oscillators, motion.motions_at(orbits.h, orbits.mode), np.arange(len(rows)))
         moves = np.any(states[:, cells.directions // 2 :] != 0.0, axis=1) & (regime == results.NO_IMPACT)
-        write_results(cells, rows[moves & cells.conservative[rows]], regime=results.REGULAR, period=0)
+        swings = rows[moves & cells.conservative[rows]]
+        write_results(cells, swings, regime=results.REGULAR, period=0, largest=0.0, spectrum=0.0)
 
 
 def _put_orbits(cells: CellBatch, rows: Rows, oscillators: Oscillator, orbits: PeriodicOrbits, **more: Any) -> None:

@@ -20,6 +20,8 @@ BALL = {"coordinates": ["x"], "mass": [[1.0]], "load": [-1.0]}
 SWING = {"coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]]}
 ELASTIC = {"gap": [1.0], "restitution": 1.0}
 PAIR = {"coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 2.0]], "stiffness": [[2.0, -1.0], [-1.0, 1.5]]}
+SPUN = {"damping": [[0.0, 0.7], [-0.7, 0.0]]}
+"""Gyroscopic: it takes no energy."""
 PAD = {"contacts": [{"name": "pad", "gap": [1.0, 0.0], "upper": 0.3, "lower": -0.3, "stiffness": 20.0}]}
 GAP, AMPLITUDE = 3.0, 0.5
 """Clearance and amplitude of the shaken box."""
@@ -167,6 +169,7 @@ def test_the_energy_of_soft_contacts_and_springs_with_laws_is_kept() -> None:
         (machine(PAIR, PAD), {"v2": [0.2, 1.3]}),
         (machine(PAIR, ELASTIC, gap=[1.0, 0.0], upper=0.3, lower=-0.3), {"v2": [0.3, 1.5]}),
         (machine(PAIR, PAD), {"v2": 0.01}),
+        (machine(PAIR, ELASTIC, SPUN, gap=[1.0, 0.0], upper=0.3, lower=-0.3, force=[0.1, 0.0]), {"v2": [0.3, 1.5]}),
         ("bouncing-ball", {"A": 0.0, "R": 1.0, "y": 1.0}),
     ],
 )
