@@ -84,7 +84,7 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
     ("at_equilibrium", UNDETERMINED,
      "it stands in an equilibrium that is not known to attract motion nearby: move the initial state off it"),
     ("conservative", UNDETERMINED,
-     "nothing in the machine loses energy, and its budget ends before regular motion and weak chaos can be told apart"),
+     "nothing in the machine loses energy, and its budget ends before its motion is clearly regular or chaotic"),
     ("dies_away", UNDETERMINED, "nothing drives it: its motion dies away, but is not at rest when its budget ends"),
     ("flies_off", UNDETERMINED, "it moves off at a constant speed, with no stop ahead: it never comes back"),
 )))  # fmt: skip
