@@ -177,8 +177,9 @@ class AdaptiveSchedule:
         """
         known = self.is_known(rows)
         self.cells.is_active[rows[known]] = False
-        end_on_orbits(self.cells, rows[~known & ~self.cells.conservative[rows]], budget, near)
-        return rows[self.cells.is_active[rows]]
+        rows, lossless = rows[~known], self.cells.conservative[rows[~known]]
+        others = end_on_orbits(self.cells, rows[~lossless], budget, near)
+        return rows[lossless | np.isin(rows, others)]
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
         """Write the results of cells proved to converge to a long orbit; return the others."""
