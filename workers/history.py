@@ -15,7 +15,7 @@ from workers.model.oscillator import Array, Oscillator, map_fields
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError
 from workers.settings import Settings, check_whole
-from workers.tile import broadcast, initial_state
+from workers.tile import initial_state
 
 RECORD = 4096
 """Initial room, in impacts, for one period; a period with more impacts is repeated with twice the room."""
@@ -71,7 +71,7 @@ def trace(
     check_whole("periods", periods, 0, MAX_TRACE_PERIODS)
     record = find_system(system)
     settings = settings or Settings()
-    parameters = broadcast(record, {name: float(value) for name, value in params.items()})
+    parameters = record.complete({name: float(value) for name, value in params.items()})
     for parameter in record.parameters:
         if not parameter.admits(parameters[parameter.name]):
             raise ValueError(f"{parameter.name} = {parameters[parameter.name]}: must satisfy {parameter.range}")

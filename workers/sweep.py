@@ -11,7 +11,7 @@ from workers.model.oscillator import Array
 from workers.model.system import System, find_system
 from workers.results import NO_REASON
 from workers.settings import Settings
-from workers.tile import broadcast, initial_state, solve_tile
+from workers.tile import initial_state, solve_tile
 
 
 def solve_lines(
@@ -39,7 +39,7 @@ def solve_lines(
     does not exist.
     """
     record = find_system(system)
-    grids = broadcast(record, params)
+    grids = record.complete(params)
     shape = next(iter(grids.values())).shape
     if not -len(shape) <= axis < len(shape):
         raise ValueError(f"axis: found {axis}, must be one of the {len(shape)} axes of the cells")

@@ -82,7 +82,7 @@ def solve_parts(
     solve_part  function that writes the results of N cells from their parameters (N,)
     attractors  number of attractors kept for each cell
     """
-    grids = broadcast(record, params)
+    grids = record.complete(params)
     shape = next(iter(grids.values())).shape
     flat = {name: grid.flatten() for name, grid in grids.items()}
     count = math.prod(shape)
@@ -91,17 +91,6 @@ def solve_parts(
         part = slice(begin, begin + at_once)
         solve_part(*({name: array[part] for name, array in arrays.items()} for arrays in (flat, results)))
     return {name: array.reshape(shape + array.shape[1:]) for name, array in results.items()}
-
-
-def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Return every parameter, with its default if missing, as arrays of one shape.
-
-    Raise KeyError for an unknown name, and ValueError for shapes that do not broadcast.
-    """
-    for name in params:
-        record.parameter(name)
-    grids = np.broadcast_arrays(*(np.asarray(params.get(p.name, p.default), np.float64) for p in record.parameters))
-    return {p.name: grid for p, grid in zip(record.parameters, grids, strict=True)}
 
 
 def initial_state(record: System, params: Mapping[str, Array]) -> Array:

@@ -20,7 +20,7 @@ def point_words(
         words += ["--system", f"{system.name}.toml"]
     elif system.name != DEFAULT:
         words += ["--system", system.name]
-    defaults = {parameter.name: parameter.default for parameter in system.parameters}
+    defaults = {p.name: None if p.formula else p.default for p in system.parameters}
     for name, value in parameters.items():
         if value != defaults[name] or name in always:
             words += ["--set", f"{name}={value!r}"]

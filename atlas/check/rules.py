@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.spec.spec import Slices, Spec
+from workers.model.hybrid_machines import feeds
 from workers.results import (
     APERIODIC,
     ATTRACTOR,
@@ -106,6 +107,7 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
 def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     with np.errstate(invalid="ignore"):  # comparisons with NaN are false, and the rules rely on that
         broken = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
+        broken |= {text: mask for text, mask in _energy(spec, slices, arrays) if mask.any()}
         if {"spectrum", "sum_law_defect", "impacts_per_period", "sticks"} <= arrays.keys():
             broken |= {text: mask for text, mask in _sum_law(spec, slices, arrays) if mask.any()}
     return broken
@@ -152,7 +154,6 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
             yield f"{name} without impact", still & ~np.isnan(arrays[name])
     yield from _speed_rules(arrays)
     if "impact_energy" in arrays:
-        yield "impact_energy is negative", arrays["impact_energy"] < 0
         yield "impact_energy is not 0 without impact", still & (arrays["impact_energy"] != 0)
     if "peak_to_peak" in arrays:
         yield "peak_to_peak is negative", arrays["peak_to_peak"] < 0
@@ -172,6 +173,15 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
         yield from _survival_rules(spec, arrays)
     if "state" in arrays:
         yield "state is not finite", known & ~np.isfinite(arrays["state"]).all(axis=-1)
+
+
+def _energy(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
+    """Yield (rule as text, mask of cells that break it): only contacts that feed in energy have a negative loss."""
+    negative = arrays.get("impact_energy", np.zeros(())) < 0
+    if negative.any():
+        params = spec.system_def.complete(spec.cell_params(slices))
+        machines = spec.system_def.definition.hybrid({name: grid.ravel() for name, grid in params.items()})
+        yield "impact_energy is negative", negative & ~feeds(machines).reshape(negative.shape)
 
 
 def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:

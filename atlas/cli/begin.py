@@ -86,7 +86,7 @@ def _print_system(system: System) -> None:
         if part.strip():
             click.echo(f"\n{textwrap.indent(textwrap.dedent(part.strip(chr(10))), '    ')}")
     click.echo()
-    rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in system.parameters]
+    rows = [(p.name, p.meaning, p.unit, p.formula or f"{p.default:g}", p.range) for p in system.parameters]
     print_table("", ["parameter", "meaning", "unit", "default", "valid"], rows)
     if system.own_variables:
         click.echo()

@@ -20,7 +20,7 @@ from atlas.query.window import select
 from atlas.spec.axis import Axis, validate_in_range
 from atlas.spec.cells import edges_of, nearest
 from atlas.spec.resolved import digest_of
-from atlas.spec.spec import MAX_AXES, Spec
+from atlas.spec.spec import MAX_AXES, Spec, validate_parameters
 from atlas.store.object_backend import StoreBackend, is_url, open_backend
 from atlas.store.store import AtlasStore, open_store
 from workers import SOLVER_VERSION, Settings
@@ -182,9 +182,9 @@ class Subject:
             raise InputError(f"axes: found {axes[0]} twice, must be two parameters")
         spec_axes = {axis.name: axis for axis in self.spec.axes}
         middle = {name: axis.values[len(axis) // 2] for name, axis in spec_axes.items()}
-        values = middle | self.spec.parameters
+        values = validate_parameters(self.system, middle | self.spec.parameters)
         new_axes = {name: spec_axes.get(name) or own_axis(self.system.parameter(name), values[name]) for name in axes}
-        fixed = {name: value for name, value in values.items() if name not in axes}
+        fixed = {name: values[name] for name in (*middle, *self.spec.parameters) if name not in axes}
         spec = Spec(self.system, new_axes, fixed, self.spec.settings)
         return replace(self, spec=spec, store=None, ds=None)
 

@@ -138,8 +138,4 @@ def params_of(spec: Spec, slices: tuple[slice, ...] | None = None) -> dict[str, 
     ``slices`` selects the block along each dimension; None selects all cells.
     """
     block = tuple(slice(0, n) for n in spec.shape) if slices is None else slices
-    cell_values, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
-    return {
-        p.name: np.broadcast_to(np.asarray(cell_values.get(p.name, p.default), dtype=np.float64), shape).ravel()
-        for p in spec.system_def.parameters
-    }
+    return {name: grid.ravel() for name, grid in spec.system_def.complete(spec.cell_params(block)).items()}

@@ -34,6 +34,7 @@ from atlas.spec.laws import LawUse, law_names, law_uses, merged
 from atlas.spec.points import POINT
 from atlas.spec.system import stored_system
 from workers.model.parameter import OMEGA
+from workers.model.system import System
 from workers.results import (
     AVERAGE,
     ERROR,
@@ -227,10 +228,10 @@ def boundary(ds: "xr.Dataset", regime: str, other: str | None = None, window: Wi
     other   the regime on the other side
 
     The lines are contours half way between neighbouring cells, in the units of the axes, known to half a cell. If
-    ``other`` is given, only borders between the two regimes are traced. Borders with pending cells never are. Closed
-    lines end at their first point. In windows of more than BOUNDARY_CELLS cells per side, lines are traced on the
-    overview next in size. Raise InputError for an unknown regime or axis, for a window without a cell, and for an atlas
-    without exactly two axes.
+    ``other`` is given, only borders between the two regimes are traced. Borders with pending cells are left out.
+    Closed lines end at their first point. In windows of more than BOUNDARY_CELLS cells per side, lines are traced
+    on the overview next in size. Raise InputError for an unknown regime or axis, for a window without a cell, and
+    for an atlas without exactly two axes.
     """
     import contourpy
     import pandas as pd
@@ -289,7 +290,7 @@ def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
     if any(rate_of(ds[name]) == PER_TIME for name in present):
         raise InputError(f"the exponents are {PER_TIME} already, not {PER_PERIOD}; nothing to convert")
     system = stored_system(ds.attrs)
-    rate = ds[_frequency(ds)] / (2.0 * np.pi * (system.definition.turns if system else 1))
+    rate = _frequency(ds, system) / (2.0 * np.pi * (system.definition.turns if system else 1))
     converted = {}
     for name in present:
         converted[name] = (ds[name] * rate).transpose(*ds[name].dims)
@@ -310,11 +311,18 @@ def codes_of(regimes: Iterable[str]) -> list[int]:
     return [_CODES[name] for name in names]
 
 
-def _frequency(ds: "xr.Dataset") -> str:
-    """Return the name of the forcing frequency, which is the same in all systems."""
-    if OMEGA not in ds.coords:
+def _frequency(ds: "xr.Dataset", system: System | None) -> "xr.DataArray":
+    """Return the forcing frequency omega of the cells, a parameter or 2 pi / period."""
+    if OMEGA in ds.coords:
+        return ds[OMEGA]
+    if system is None or (period := system.definition.period) is None or not period.names <= {*ds.coords}:
         raise InputError("the forcing frequency of this atlas is not known: exponents per unit time need it")
-    return OMEGA
+    import xarray as xr
+
+    names = sorted(period.names) or [OMEGA]
+    grids = xr.broadcast(*(ds[name] if name in ds.coords else xr.DataArray(0.0) for name in names))
+    values = {name: np.asarray(grid.values, np.float64) for name, grid in zip(names, grids, strict=True)}
+    return grids[0].copy(data=system.definition.frequency(values))
 
 
 def _areas_of_cells(

@@ -13,11 +13,12 @@ from workers.model.system import System
 
 
 def equation_of(system: System) -> str:
-    """Return the equation as its definition writes it, or generated from the entries of the definition.
+    """Return the equation of motion of a system as text: as its author wrote it, or generated from its definition.
 
-    There is a line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, without zero
-    terms. Then follows the forcing period if it is not 2 pi / omega. The last lines are the stops, the impact law,
-    friction, phases, the drifting coordinate and the names in expressions.
+    A generated text has a line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``,
+    without zero terms. Then follow omega if it is not a parameter, and the forcing period if it is not 2 pi / omega.
+    The last lines are the stops, the impact law, friction, phases, the drifting coordinate and the names in
+    expressions.
     """
     if system.equation.strip():
         return system.equation
@@ -34,6 +35,9 @@ def equation_of(system: System) -> str:
         ]
         right = [(machine.load[i], ""), *(part for harmonic in machine.harmonics for part in _harmonic(harmonic, i))]
         lines.append(f"{_sum(left)} = {_sum(right)}")
+    if machine.period:
+        period = _number(machine.period)
+        lines.append(f"omega = 2 pi / {period if period.isidentifier() else f'({period})'}")
     if machine.turns > 1:
         lines.append(f"forcing period {2 * machine.turns} pi / omega")
     for contact in machine.contacts:

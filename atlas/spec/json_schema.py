@@ -161,11 +161,11 @@ def _definition() -> Schema:
     entries |= {key: _list(_NAME, 1, MAX_COORDINATES) for key in ("coordinates", "velocities")}
     entries |= {key: matrix for key in ("mass", "damping", "stiffness")}
     entries |= {key: row for key in ("force", "phase", "cosine", "load", "gap")}
-    entries |= {key: _ENTRY for key in ("upper", "lower", "restitution")}
+    entries |= {key: _ENTRY for key in ("upper", "lower", "restitution", "period")}
     entries |= {
         "name": {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,40}$"},
         "version": _whole(1, LATEST),
-        "axes": _map(_list(_NUMBER, 2, 2)),
+        "axes": _map(_list(_ENTRY, 2, 2)),
         "harmonics": _list(_harmonic(row)),
         "contacts": _list(_element(CONTACT_KEYS, ["name", "gap"]), 1, STOPS),
         "friction": _list(_element(FRICTION_KEYS, ["name", "row"]), 0, FRICTION),
@@ -219,10 +219,10 @@ def _measure(row: Schema) -> Schema:
 
 
 def _own_parameter() -> Schema:
-    """Return the schema of a parameter in a definition: a number, its default, or a table with more about it."""
+    """Return the schema of a parameter in a definition: its default, a number or an expression, or a table of more."""
     words: Schema = {"type": "string", "maxLength": 200}
     flags: Schema = {"low_open": _FLAG, "high_open": _FLAG, "symbol": words, "unit": words, "meaning": words}
-    return {"anyOf": [_NUMBER, _table({key: flags.get(key, _NUMBER) for key in PARAMETER_KEYS})]}
+    return {"anyOf": [_ENTRY, _table({key: flags.get(key, _ENTRY) for key in PARAMETER_KEYS})]}
 
 
 def _table(entries: Mapping[str, Any], required: Iterable[str] = ()) -> Schema:

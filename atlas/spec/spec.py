@@ -61,7 +61,8 @@ class Spec:
     One axis makes a sweep, two a plane, three a stack of planes: one plane for each value of the third. ``points``
     replaces the axes by a table of parameter sets, one row per cell: its columns by name, or ``{"file": "table.csv"}``.
     The spec's only axis is then the row number, ``point``, and ``points`` has the columns; otherwise ``points`` is
-    empty. Columns override ``parameters``.
+    empty. Columns override ``parameters``. An initial value whose default is an expression is not among ``parameters``,
+    unless it is given: each cell has its own.
 
     ``attractors`` asks for all attractors reached from a number of initial states of a cell. It is a table such as
     ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}``, or a
@@ -121,7 +122,8 @@ class Spec:
         put(self, "axes", (axis_of(columns),) if columns else read)
         _check_continuation(self.axes, record)
         fixed = validate_parameters(record, parameters)
-        put(self, "parameters", {name: value for name, value in fixed.items() if name not in (axes or columns)})
+        differ = {*(axes or columns), *(p.name for p in record.parameters if p.formula and p.name not in parameters)}
+        put(self, "parameters", {name: value for name, value in fixed.items() if name not in differ})
         put(self, "settings", observable_settings(_settings_of(solve), record))
         put(self, "attractors", parse_attractors(attractors, record, self.settings))
         put(self, "tile", _checked_tile(store, len(self.axes)))
@@ -346,7 +348,10 @@ def given_settings(settings: Settings | None) -> Settings:
 
 
 def check_parameters(system: System, names: Iterable[object], kind: str = "parameter") -> None:
-    """Raise InputError at the first name that is no parameter of a system."""
+    """Raise InputError at the first name that is no parameter of a system.
+
+    ``kind`` says in the message what the names are.
+    """
     known = {parameter.name for parameter in system.parameters}
     for name in names:
         if name not in known:
@@ -359,7 +364,8 @@ def validate_parameters(system: System, values: Mapping[str, Any]) -> dict[str, 
     Raise InputError for a name that is no parameter, and for a value outside the parameter's range.
     """
     check_parameters(system, values)
-    return {p.name: validate_in_range(p, values[p.name]) if p.name in values else p.default for p in system.parameters}
+    given = {p.name: validate_in_range(p, values[p.name]) for p in system.parameters if p.name in values}
+    return {name: float(value) for name, value in system.complete(given).items()}
 
 
 def parse_settings(table: Mapping[str, Any]) -> Settings:

@@ -14,7 +14,7 @@ from workers import Settings
 def spec_toml(spec: Spec) -> str:
     """Return the text of a TOML file for a spec, without defaults. ``Spec.from_toml`` reads it."""
     system, settings = spec.system_def, spec.settings
-    defaults = {parameter.name: parameter.default for parameter in system.parameters}
+    defaults = {p.name: None if p.formula else p.default for p in system.parameters}
     tables = {
         "system": system.name if system.packaged else system.table(),
         "parameters": {name: value for name, value in spec.parameters.items() if value != defaults[name]},

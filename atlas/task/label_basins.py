@@ -47,8 +47,7 @@ def complete_basins(handle: AtlasStore) -> dict[Index, Rows]:
         return {}
     assert spec.attractors is not None
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
-    defaults = {p.name: p.default for p in spec.system_def.parameters}
-    values = fixed_values(spec.system_def, defaults | params)
+    values = fixed_values(spec.system_def, params)
     table = AttractorTable(spec.system_def, values, spec.settings, spec.attractors)
     reference, solved = len(table.attractors), 0
     hits: Counter[int] = Counter()

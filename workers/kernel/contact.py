@@ -57,7 +57,7 @@ def outcome(load, v, R, scale, period):
 
     With R = 0 the mass sticks if the load presses, load > 0, and else leaves. With 0 < R < 1 chatter is followed hop by
     hop until hops are below rounding. The remainder ends at chatter.chatter_end, with a third-order error of the state.
-    With R = 1 chatter never completes.
+    With R >= 1 chatter never completes.
     """
     if R == 0.0:
         return REST if load > 0.0 else LEAVE
@@ -77,7 +77,7 @@ def is_rebound(load, v, R, cA2k, scale, remaining, period):
     w = R * abs(v)
     change, pressing = 2.0 * abs(cA2k * v), load * (1.0 - R)
     slow = (change > ENDING * load and 2.0 * w > BRIEF * period * pressing) or 2.0 * w > remaining * pressing
-    return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not hop_is_rounding(load, w, scale, period)))
+    return R > 0.0 and (load <= 0.0 or R >= 1.0 or (slow and not hop_is_rounding(load, w, scale, period)))
 
 
 @inlined

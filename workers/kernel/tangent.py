@@ -268,7 +268,7 @@ def impact_spread(ratio, unit, loss):
     unit   time_unit of the oscillator
     loss   value of ``loss_spread``
 
-    The stretch is at most 2 ln(1 + u) - ln R with u = |ratio| unit. The bound ln x < (x - 1) / sqrt(x) avoids the
+    The stretch is at most 2 ln(1 + u) + |ln R| with u = |ratio| unit. The bound ln x < (x - 1) / sqrt(x) avoids the
     logarithms.
     """
     u = abs(ratio) * unit
@@ -277,5 +277,5 @@ def impact_spread(ratio, unit, loss):
 
 @inlined
 def loss_spread(R):
-    """Return the contribution of the coefficient of restitution R to ``impact_spread``: at least -ln R."""
-    return (1.0 - R) / math.sqrt(max(R, TINY))
+    """Return the contribution of the coefficient of restitution R to ``impact_spread``: at least |ln R|."""
+    return abs(1.0 - R) / math.sqrt(max(R, TINY))

@@ -12,7 +12,7 @@ from workers.model.elements import ALWAYS, PAD, RUB, Changes, Contact, Friction,
 from workers.model.entries import DefinitionError
 from workers.model.expression import Expression
 from workers.model.free_flight import UNSEEN
-from workers.model.hybrid_machines import HybridMachines, dependent, held_rows, yields
+from workers.model.hybrid_machines import GREATEST_R, HybridMachines, dependent, held_rows, yields
 from workers.model.hybrid_modes import ZERO_SHARE
 from workers.model.laws import SEGMENTS, segments_of
 from workers.model.oscillator import Array
@@ -24,12 +24,18 @@ OF_EXPRESSION = ", within above 0 and the range around 0"
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """Raise DefinitionError, in one line, unless the defaults make a valid machine.
 
-    M is invertible. Phases begin in order within the period. For contacts 0 <= R <= 1; stiffness, damping and preload
-    are not negative; the lower stop is below the upper one. For friction 0 <= kinetic <= static. Rows are nonzero. They
-    are independent if they can stick together, and a force along a row moves it that way. Contacts see every free
-    motion, K x = 0, except the motion of a coordinate that may drift, which nothing ties down.
+    The period is above 0. M is invertible. Phases begin in order within the period. For contacts 0 <= R <= GREATEST_R;
+    stiffness and preload are not negative, nor is the damping of a contact released by force; the lower stop is below
+    the upper one. For friction 0 <= kinetic <= static. Rows, the weights of the coordinates at contacts and friction,
+    are nonzero. They are independent if they can stick together, and a force along a row moves it that way. Contacts
+    see every free motion, K x = 0, except the motion of a coordinate that may drift, which nothing ties down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
+    if definition.period:
+        omega, _ = definition.forcing(defaults)
+        if not (omega[0] > 0.0 and np.isfinite(omega[0])):
+            period = definition.value(definition.period, defaults)[0]
+            raise DefinitionError(f"system.period: found {period:g} at the defaults, must be above 0 and finite")
     for where, element, tables in definition.laws(defaults):
         _check_law(where, element, tables[0])
     many = definition.hybrid(defaults)
@@ -49,6 +55,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     _check_mass(machine.mass)
     for where, number in constants.items():
         _check_constant(where, float(number))
+    _check_damping(definition, machine)
     _check_static(definition, machine)
     _check_stops(definition, machine)
     _check_starts(machine.starts)
@@ -68,7 +75,7 @@ def _contact(definition: Definition, c: int) -> str:
 
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
-    """Return the entry that counts in phase p: the phase's own, or that of the whole machine."""
+    """Return the key of the definition whose value counts in phase p: the phase's, or that of the whole machine."""
     overridden = definition.phases and getattr(definition.phases[p], key) is not None
     return f"system.phases[{p}].{key}" if overridden else f"system.{key}"
 
@@ -106,10 +113,20 @@ def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, entry
 
 def _check_constant(where: str, number: float) -> None:
     key = where.rpartition(".")[2]
-    if key == "restitution" and not 0.0 <= number <= 1.0:
-        raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 to 1")
-    if key in (*PAD, "kinetic") and number < 0.0:
+    if key == "restitution" and not 0.0 <= number <= GREATEST_R:
+        raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 to {GREATEST_R:g}")
+    if key in ("stiffness", "preload", "kinetic") and number < 0.0:
         raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 or more")
+
+
+def _check_damping(definition: Definition, machine: HybridMachines) -> None:
+    for p, phase in enumerate(definition.phases or ALWAYS):
+        for c, contact in enumerate(definition.contacts):
+            damping = machine.contact_constants[p, c, 1]
+            if contact.release == "force" and damping < 0.0:
+                where = _constant_in(phase.contacts, p, "contacts", contact.name, "damping", f"system.contacts[{c}]")
+                right = 'must be 0 or more with release = "force", or release = "displacement"'
+                raise DefinitionError(f"{where}: found {damping:g} at the defaults, {right}")
 
 
 def _check_static(definition: Definition, machine: HybridMachines) -> None:
@@ -199,9 +216,9 @@ def _check_starts(starts: Array) -> None:
 
 
 def _check_independent(named: list[str], rows: Array) -> None:
-    """Raise DefinitionError if rows that can stick together depend on each other.
+    """Raise DefinitionError if rows, weights of coordinates that can stick together, are linearly dependent.
 
-    named  entries of the rows
+    named  keys of the definition that give the rows
     rows   (1, R, n) rows of rigid contacts and friction, zeros for other elements
     """
     for k, where in enumerate(named):
@@ -237,9 +254,10 @@ def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
 
 
 def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
-    """Raise DefinitionError unless contacts and drift see each free motion.
+    """Raise DefinitionError unless each free motion, K x = 0, changes a gap or is that of the drifting coordinate.
 
-    Two motions seen by one gap combine to a motion that leaves y unchanged.
+    ``stiffness`` (n, n) is K, and ``where`` its key in the definition. Two motions that change the same gap combine to
+    a motion that leaves the gap unchanged.
     """
     with np.errstate(all="ignore"):
         free, over_mass = _free_motions(machine.mass, stiffness)

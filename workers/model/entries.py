@@ -7,8 +7,10 @@ from numbers import Real
 from reprlib import Repr
 from typing import Any
 
+import numpy as np
+
 from workers.model.expression import RESERVED, Expression, ExpressionError, parse
-from workers.model.parameter import unknown_name
+from workers.model.parameter import OMEGA, unknown_name
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 _short = Repr()
@@ -20,7 +22,7 @@ class DefinitionError(ValueError):
 
 
 def read_entries(where: str, value: object, known: Collection[str], *shape: int) -> Any:
-    """Return the expression given by a number or a text, or a row or matrix of them from lists.
+    """Return the expression of an entry, a number or a text; for an entry of lists, a row or matrix of expressions.
 
     where  name of the entry in error messages
     value  the entry
@@ -46,7 +48,7 @@ def read_text(where: str, value: object) -> str:
 
 
 def read_words(where: str, value: object) -> str:
-    """Return the value, printable words on one line, which can stand beside a formula."""
+    """Return the value, printable words on one line that can stand beside a formula; else raise DefinitionError."""
     text = read_text(where, value)
     if not text.isprintable() or "$" in text or len(text) > 200:
         raise fault(where, value, "must be one line of at most 200 characters without a dollar")
@@ -79,6 +81,14 @@ def read_number(where: str, value: object, valid_form: str = "must be a number",
     return number
 
 
+def read_constant(where: str, value: object, infinite: bool = False) -> float:
+    """Return the value, a number or an expression of numbers such as "2*pi", as a float, see ``read_number``."""
+    if isinstance(value, str):
+        with np.errstate(all="ignore"):
+            value = float(read_entries(where, value, ())({OMEGA: np.zeros(1)})[0])
+    return read_number(where, value, "must be a number or an expression in quotes", infinite)
+
+
 def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
     """Return the value, a table; raise DefinitionError for any other value, or for a key that is not among ``keys``.
 
@@ -93,7 +103,7 @@ def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping
 
 
 def read_tables(where: str, value: object) -> dict[str, object]:
-    """Return the tables [[where]] of a list, by their names in error messages."""
+    """Return the tables of a list [[where]], each under the name that error messages give it, such as ``where[0]``."""
     if not isinstance(value, list):
         raise fault(where, value, f"must be tables [[{where}]]")
     return {f"{where}[{i}]": one for i, one in enumerate(value)}
@@ -111,7 +121,7 @@ def read_list(
 
 
 def read_names(where: str, value: object) -> tuple[str, ...]:
-    """Return the value, a list of names."""
+    """Return the value, a list of names, as a tuple; raise DefinitionError for any other value or an invalid name."""
     if not isinstance(value, list | tuple):
         raise fault(where, value, "must be a list of names")
     for i, name in enumerate(value):

@@ -20,11 +20,12 @@ class Parameter:
     symbol     symbol in pictures, as mathtext
     unit       unit as text, "1" if there is none
     meaning    meaning in words
-    default    value if none is given
+    default    value if none is given; of an expression of other parameters, its value at their defaults
     low        lower bound of the valid range low <= value <= high
     high       upper bound of the valid range
     low_open   True if the lower bound itself is invalid
     high_open  True if the upper bound itself is invalid
+    formula    the expression of other parameters that is the default; empty for a number
     """
 
     name: str
@@ -36,6 +37,7 @@ class Parameter:
     high: float = math.inf
     low_open: bool = False
     high_open: bool = False
+    formula: str = ""
 
     @property
     def range(self) -> str:
@@ -58,7 +60,12 @@ class Parameter:
 
     def table(self) -> dict[str, Any]:
         """Return all fields except the name, as in a TOML file."""
-        entries = {"default": self.default, "symbol": self.symbol, "unit": self.unit, "meaning": self.meaning}
+        entries = {
+            "default": self.formula or self.default,
+            "symbol": self.symbol,
+            "unit": self.unit,
+            "meaning": self.meaning,
+        }
         for key, end, is_open in (("low", self.low, self.low_open), ("high", self.high, self.high_open)):
             if math.isfinite(end):
                 entries |= {key: end} | ({f"{key}_open": True} if is_open else {})
@@ -71,7 +78,7 @@ def near_name(name: str, valid: list[str]) -> str:
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
-    """Return one line for an unknown name: the nearest known name, or all of them."""
+    """Return the one-line error message for an unknown name, with the nearest known name or with all known names."""
     names = list(valid)
     near = near_name(name, names)
     hint = f"did you mean {near!r}?" if near else f"known: {', '.join(names)}"

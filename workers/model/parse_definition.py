@@ -13,11 +13,11 @@ from workers.model.entries import (
     DefinitionError,
     check_name,
     name_taken,
+    read_constant,
     read_entries,
     read_flag,
     read_list,
     read_names,
-    read_number,
     read_table,
     read_text,
     read_words,
@@ -39,9 +39,9 @@ _GREEK = (
     "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Xi", "Sigma", "Phi", "Psi",
     "Omega",
 )  # fmt: skip
-_read_end = partial(read_number, infinite=True)
+_read_end = partial(read_constant, infinite=True)
 PARAMETER_KEYS: dict[str, Any] = {
-    "default": read_number, "low": _read_end, "high": _read_end, "low_open": read_flag, "high_open": read_flag,
+    "default": read_constant, "low": _read_end, "high": _read_end, "low_open": read_flag, "high_open": read_flag,
     "symbol": read_words, "unit": read_words, "meaning": read_words,
 }  # fmt: skip
 
@@ -49,23 +49,27 @@ PARAMETER_KEYS: dict[str, Any] = {
 def read_parameters(
     machine: Mapping[str, Any], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> tuple[Parameter, ...]:
-    """Return all parameters of a table [system]: omega, its own, tau, then the initial values.
+    """Return all parameters of a table [system]: omega, the system's own, tau, then the initial values.
 
     The initial values are those of coordinates and velocities. Omega and tau of a force, and the initial values, need
-    no entry: the table may change their default, range and words. A single number is a default.
+    no entry: the table may change their default, range and words. A single number or expression is a default. With a
+    period there is no omega. The formulas of initial values are as written, see ``with_formulas``.
     """
     entries, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
     for name in (OMEGA, TAU) if unforced else ():
         if name in entries:
             raise DefinitionError(f"system.parameters.{name}: found in a machine without a force; give force too")
+    if OMEGA in entries and "period" in machine:
+        raise DefinitionError(f"system.parameters.{OMEGA}: found beside system.period, which decides it; leave one out")
     if len(entries) > MANY:
         raise DefinitionError(f"system.parameters: found {len(entries)}, must be at most {MANY}")
+    frequency = [] if unforced or "period" in machine else [OMEGA]
     of_force = [
         Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
         Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
     ]
     built_in = [
-        *([] if unforced else of_force),
+        *([] if unforced else of_force[1 - len(frequency) :]),
         *(Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates),
         *(
             Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
@@ -79,15 +83,20 @@ def read_parameters(
                 raise DefinitionError(f"{where}: an initial value has no range, since only the stops limit it")
     known = {parameter.name: parameter for parameter in built_in}
     added = [name for name in entries if name not in known]
-    parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
-    first = [] if unforced else [OMEGA]
-    return tuple(parameters[name] for name in (*first, *added, *list(known)[len(first) :]))
+    starts = {*coordinates, *velocities}
+    parameters = known | {
+        name: _read_parameter(name, one, known.get(name), name in starts) for name, one in entries.items()
+    }
+    return tuple(parameters[name] for name in (*frequency, *added, *list(known)[len(frequency) :]))
 
 
-def _read_parameter(name: str, value: object, base: Parameter | None) -> Parameter:
+def _read_parameter(name: str, value: object, base: Parameter | None, starts: bool) -> Parameter:
+    """Return a parameter; one that ``starts`` a motion has an expression as its formula, without a default."""
     where = f"system.parameters.{name}"
-    table = read_table(where, {"default": value} if isinstance(value, Real) else value, PARAMETER_KEYS)
+    table = dict(read_table(where, {"default": value} if isinstance(value, Real | str) else value, PARAMETER_KEYS))
     check_name(where, name)
+    if base is not None and starts and isinstance(table.get("default"), str):
+        base = replace(base, formula=table.pop("default"))
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
     read = {key: PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
@@ -101,6 +110,24 @@ def _read_parameter(name: str, value: object, base: Parameter | None) -> Paramet
     if not parameter.admits(parameter.default):
         raise DefinitionError(f"{where}.default: found {parameter.default:g}, must satisfy {parameter.range}")
     return parameter
+
+
+def with_formulas(parameters: Iterable[Parameter], definition: Definition) -> tuple[Parameter, ...]:
+    """Return the parameters with the formulas of initial values in normal form, and their values at the defaults."""
+    states, completed = {*definition.coordinates, *definition.velocities}, []
+    known = [p.name for p in parameters if p.name not in states] + [name for name, _ in definition.let]
+    known += [OMEGA] if definition.period else []
+    defaults = {p.name: np.array([p.default]) for p in parameters}
+    for parameter in parameters:
+        if parameter.formula:
+            where = f"system.parameters.{parameter.name}.default"
+            formula = read_entries(where, parameter.formula, known)
+            (value,) = definition.value(formula, defaults)
+            if not np.isfinite(value):
+                raise DefinitionError(f"{where}: found {value:g} at the defaults, must be a finite number")
+            parameter = replace(parameter, default=float(value), formula=formula.text if formula.names else "")
+        completed.append(parameter)
+    return tuple(completed)
 
 
 def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -134,7 +161,9 @@ def read_definition(
     n = len(coordinates)
     # The initial state is not part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
-    let = _read_let(table.get("let", {}), known, parameters)
+    period = _read_period(table, known)
+    known += [] if period is None else [OMEGA]
+    let = _read_let(table.get("let", {}), known, {*parameters, *known})
     known = [*known, *(name for name, _ in let)]
     contacts, friction = read_contacts(table, known, n), read_friction(table, known, n)
     springs = read_springs(table, known, n)
@@ -157,7 +186,18 @@ def read_definition(
         drift=_read_drift(table.get("drift"), coordinates, is_unforced(table)),
         measures=read_measures(table.get("measures", {}), known, n),
         springs=springs,
+        period=period,
     )
+
+
+def _read_period(table: Mapping[str, Any], known: Collection[str]) -> Expression | None:
+    """Return the period 2 pi / omega as an expression of parameters; None if omega is a parameter itself."""
+    if "period" not in table:
+        return None
+    if is_unforced(table):
+        raise DefinitionError("system.period: found in a machine without a force; give force too")
+    period: Expression = read_entries("system.period", table["period"], known)
+    return period
 
 
 def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> str:
@@ -175,7 +215,11 @@ def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> 
 
 
 def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tuple[tuple[str, Expression], ...]:
-    """Return the names of ``let`` with their expressions, in the order of their use."""
+    """Return the entries of the table ``let``, names for expressions, each before the expressions that use it.
+
+    known     names that the expressions may use besides each other
+    reserved  names of parameters, which ``let`` may not define again
+    """
     table = read_table("system.let", value)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
@@ -209,7 +253,7 @@ def symbol_of(name: str) -> str:
 
 
 def check_not_reserved(definition: Definition, parameters: Iterable[Parameter]) -> None:
-    """Raise DefinitionError at the first name that an atlas reserves."""
+    """Raise DefinitionError at the first coordinate, velocity or parameter with a name that an atlas uses itself."""
     names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
     names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
     for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():

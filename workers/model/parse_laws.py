@@ -11,7 +11,13 @@ SPRING_KEYS = ("name", "row", *LAW)
 
 
 def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind: type) -> dict[str, Any]:
-    """Return the entries LAW of an element of this kind."""
+    """Return the force law in an element's table, with the error bound and range of an expression, by the keys LAW.
+
+    where  name of the table in error messages
+    table  the table, with the key ``law``
+    known  names that expressions may use
+    kind   class of the element: Contact, Friction or Spring
+    """
     law, argument = table["law"], ARGUMENTS[kind]
     if isinstance(law, str):
         if argument in known:
@@ -45,7 +51,12 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
 
 
 def read_spring(where: str, value: object, known: Collection[str], n: int) -> Spring:
-    """Return a spring of a machine of n coordinates."""
+    """Return the spring that a table describes, for a machine of n coordinates.
+
+    where  name of the table in error messages
+    value  the table
+    known  names that expressions may use
+    """
     one = read_table(where, value, SPRING_KEYS)
     for key in ("name", "row", "law"):
         if key not in one:

@@ -9,19 +9,26 @@ from textwrap import shorten
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.definition_checks import check_at_defaults
-from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
+from workers.model.entries import DefinitionError, fault, read_constant, read_list, read_table, read_text
+from workers.model.expression import Expression
 from workers.model.measures import check_unambiguous, element_variables, law_variables, measure_variables
 from workers.model.mode_table import build_hybrid
 from workers.model.observables import Observable, observables_of
 from workers.model.oscillator import Array, take_one
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
-from workers.model.parse_definition import check_not_reserved, read_coordinates, read_definition, read_parameters
+from workers.model.parse_definition import (
+    check_not_reserved,
+    read_coordinates,
+    read_definition,
+    read_parameters,
+    with_formulas,
+)
 from workers.model.reserved_names import NAMES
 from workers.model.toml_text import parse_toml, read_toml
 from workers.results import (
@@ -46,12 +53,12 @@ PROSE = (*TEXTS, "axes")
 """Keys that affect no number."""
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
-    "cosine", "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
-    "springs", "measures", "let", "parameters",
+    "cosine", "harmonics", "period", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases",
+    "drift", "springs", "measures", "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000
 """Maximum version of a definition."""
-_PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all values and needs no default
+_PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all values, and needs only formulas
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,7 @@ class System:
     definition  its entries as expressions
     version     version of the definition, raised when a packaged definition changes a number
     packaged    True if the name alone identifies it
-    axes        usual axes, (name, low, high)
+    axes        axes of the usual map, each (name of a parameter, low, high)
     title       title, for pictures and lists
     source      reference of the system
     equation    equation of motion, as text
@@ -113,25 +120,29 @@ class System:
 
     @property
     def exponents(self) -> int:
-        """Number of exponents of a motion: one per component of the state, except a displacement that may drift."""
+        """Number of Lyapunov exponents of a motion: one per component of the state, none for a drifting position."""
         return len(self.states) - bool(self.definition.drift)
 
     @property
     def unused_parameters(self) -> tuple[str, ...]:
-        """Names of its own parameters that no entry uses, and that therefore have no effect."""
+        """Names of the system's own parameters that no entry of the definition uses: they have no effect."""
         without = {OMEGA, TAU, *self.states, *self.definition.used}
         return tuple(parameter.name for parameter in self.parameters if parameter.name not in without)
 
     @property
     def has_modes(self) -> bool:
-        """True if its law changes by more than one contact with a restitution, see model/hybrid_modes.py."""
+        """True if the equations of motion change in other ways than by impacts on one rigid contact.
+
+        Such a machine has soft contacts, several or no contacts, friction, phases, springs with a law, or no force. It
+        moves through modes, sets of linear equations, see model/hybrid_modes.py.
+        """
         definition = self.definition
         elements = definition.friction or definition.phases or definition.springs
         return bool(elements) or definition.unforced or [contact.rigid for contact in definition.contacts] != [True]
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
-        """``own_variables``, each with its entry."""
+        """Pairs (entry, variable) of ``own_variables``; the entry is the key that asks for the variable."""
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", DRIFT_PER_PERIOD)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
@@ -141,17 +152,24 @@ class System:
 
     @property
     def regime(self) -> Variable:
-        """Variable of the regime of its motions, whose codes have the words for them."""
+        """Result variable for the regime of a motion, described in words that suit machines with or without a force."""
         return in_time(REGIME) if self.definition.unforced else REGIME
 
     @property
     def own_variables(self) -> tuple[Variable, ...]:
-        """The results of this system alone."""
+        """Result variables that only this system has, such as those of its contacts, friction and measures."""
         variables = tuple(variable for _, variable in self._own)
         return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
-        """Return the results of a cell, see ``results.result_variables``, with the results of this system alone."""
+        """Return the variables of all results of a cell: those of every system, and those of this system alone.
+
+        settings    settings of the solver, which may add results
+        attractors  True for cells with all their attractors
+        basins      True for cells of basins of attraction
+
+        The results of every system are described in ``results.result_variables``.
+        """
         observed = tuple(variable for observable in self.observables(settings) for variable in observable.variables)
         variables = result_variables(settings, attractors, basins, self.own_variables + observed)
         if self.definition.friction:
@@ -177,12 +195,12 @@ class System:
         return observables
 
     def must_offer(self, what: str, unforced: bool = False) -> None:
-        """Raise DefinitionError, in one line, if ``what`` does not exist for this system.
+        """Raise DefinitionError, in one line, if results of the kind ``what`` do not exist for this system.
 
-        what      noun in the plural
-        unforced  True if ``what`` exists without a force
+        what      the results, a noun in the plural such as "branches"
+        unforced  True if these results exist for machines without a force
 
-        It never exists if a coordinate drifts, and without a force only if ``unforced``.
+        They never exist if a coordinate drifts.
         """
         if not unforced:
             self.must_have_force(what)
@@ -190,14 +208,15 @@ class System:
             raise DefinitionError(f"system {self.name!r}: {what} do not exist if a coordinate drifts")
 
     def must_have_force(self, what: str) -> None:
-        """Raise DefinitionError, in one line, if there is no force, without which ``what`` does not exist."""
+        """Raise DefinitionError, in one line, if the system has no force, without which ``what`` does not exist."""
         if self.definition.unforced:
             raise DefinitionError(f"system {self.name!r}: {what} do not exist for a machine without a force")
 
     def with_cycle(self, values: Mapping[str, Array], cycle: float | None) -> dict[str, Array]:
-        """Return values (N,) of each parameter of machines without a force, simulated over cycles of this length.
+        """Return values (N,) of each parameter, with omega such that a period of the machine has the length ``cycle``.
 
-        They are unchanged if ``cycle`` is None. Raise ValueError for a length if there is a force.
+        The length is that of a limit cycle of machines without a force. The values are unchanged if ``cycle`` is None.
+        Raise ValueError for a length if there is a force.
         """
         if cycle is None:
             return dict(values)
@@ -207,15 +226,35 @@ class System:
             )
         return dict(values) | {OMEGA: np.full_like(next(iter(values.values())), 2.0 * np.pi / cycle)}
 
+    def complete(self, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """Return every parameter, with its default if missing, as arrays of one shape.
+
+        A default with a formula is its value at the other parameters. Raise KeyError for an unknown name, and
+        ValueError for shapes that do not broadcast.
+        """
+        for name in given:
+            self.parameter(name)
+        grids = np.broadcast_arrays(*(np.asarray(given.get(p.name, p.default), np.float64) for p in self.parameters))
+        values = {p.name: grid for p, grid in zip(self.parameters, grids, strict=True)}
+        for parameter in self.parameters:
+            if parameter.formula and parameter.name not in given:
+                flat = {name: grid.ravel() for name, grid in values.items()}
+                start = self.definition.value(Expression(parameter.formula), flat)
+                values[parameter.name] = start.reshape(grids[0].shape)
+        return values
+
     def build(self, values: Mapping[str, float]) -> Any:
-        """Return the oscillator at one value of each parameter; raise InvalidError, a ValueError, if there is none."""
+        """Return the oscillator at one value of each parameter; raise InvalidError, a ValueError, if it is invalid."""
         oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
         return take_one(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
-        """Return the oscillators at values (N,) of each parameter, and the reason against each, or NO_REASON."""
+        """Return the oscillators at values (N,) of each parameter, and codes (N,) of the reasons why one is invalid.
+
+        The code of a valid oscillator is NO_REASON.
+        """
         if self.has_modes:
             hybrids, reasons = build_hybrid(self.definition.hybrid(values))
             return hybrids, self.out_of_range(values, reasons)
@@ -225,8 +264,14 @@ class System:
         return oscillators, self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return these reasons (N,), replaced if values (N,) of parameters are out of their ranges."""
+        """Return the codes ``reasons`` (N,), with OUT_OF_RANGE where a value (N,) of a parameter is out of its range.
+
+        ``reasons``, why machines are invalid, changes in place.
+        """
         admitted = [p.admits(values[p.name]) for p in self.parameters if p.name in values]
+        if self.definition.period:
+            omega, _ = self.definition.forcing(values)
+            admitted.append((omega > 0.0) & (omega < np.inf))
         reasons[~np.logical_and.reduce(admitted)] = OUT_OF_RANGE
         return reasons
 
@@ -238,9 +283,12 @@ class System:
         raise KeyError(self.unknown_name_message(name))
 
     def unknown_name_message(self, name: str, kind: str = "parameter") -> str:
-        """Return one line for an unknown parameter name."""
+        """Return the one-line error message for an unknown name; ``kind`` is the noun before the name."""
         if self.definition.unforced and name in (OMEGA, TAU):
             return f"{kind} {name!r}: system {self.name!r} has no force; leave this name out"
+        if self.definition.period and name == OMEGA:
+            period = self.definition.period.text
+            return f"{kind} {name!r}: in system {self.name!r} it is 2 pi / period, with the period {period}"
         return unknown_name(kind, name, [parameter.name for parameter in self.parameters])
 
     def table(self) -> dict[str, Any]:
@@ -288,7 +336,11 @@ def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
         return {key: resolved[key] for key in ("system", "system_version") if key in resolved}
     machine = {key: value for key, value in system.items() if key not in PROSE}
     machine["parameters"] = {
-        name: {key: value for key, value in table.items() if key not in _PARAMETER_PROSE}
+        name: {
+            key: value
+            for key, value in table.items()
+            if key not in _PARAMETER_PROSE or (key == "default" and isinstance(value, str))
+        }
         for name, table in system.get("parameters", {}).items()
     }
     return {"system": machine}
@@ -352,6 +404,7 @@ def _read(value: Mapping[str, Any], packaged: bool) -> System:
     names = [parameter.name for parameter in parameters]
     definition = read_definition(table, names, coordinates, velocities)
     check_at_defaults(definition, parameters)
+    parameters = with_formulas(parameters, definition)
     texts = {"title": name} | {key: read_text(f"system.{key}", table[key]) for key in TEXTS if key in table}
     axes = _read_axes(table.get("axes", {}), names)
     return System(name, parameters, definition, version, packaged, axes, **texts)
@@ -364,7 +417,7 @@ def _read_axes(value: object, names: list[str]) -> tuple[tuple[str, float, float
         where = f"system.axes.{name}"
         if name not in names:
             raise DefinitionError(unknown_name("parameter in system.axes", name, names))
-        low, high = (read_number(where, end) for end in read_list(where, ends, 2, "numbers", ""))
+        low, high = (read_constant(where, end) for end in read_list(where, ends, 2, "numbers", ""))
         if not low < high:
             raise DefinitionError(f"{where}: found {low:g} and {high:g}, must rise")
         axes.append((name, low, high))

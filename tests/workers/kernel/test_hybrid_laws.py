@@ -24,7 +24,7 @@ from workers.model.mode_table import build_hybrid, code_of
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.results import PERIODIC, result_variables
-from workers.tile import broadcast, initial_state, result_arrays
+from workers.tile import initial_state, result_arrays
 
 SETTINGS = Settings(exponents="spectrum", max_periods=2000, survival=0, section_samples=2)
 
@@ -181,7 +181,7 @@ def test_a_phase_that_changes_nothing_changes_nothing(seed: int) -> None:
 def two_mass(**params: list[float]) -> tuple[Oscillator, Oscillator, Array]:
     """The package's system both ways, and section states where its cells begin."""
     record = find_system("two-mass")
-    values = broadcast(record, params)
+    values = record.complete(params)
     rigid, reasons = record.build_many(values)
     hybrid, others = build_hybrid(record.definition.hybrid(values))
     assert not reasons.any()

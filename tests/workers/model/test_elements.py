@@ -232,7 +232,7 @@ def test_machines_of_one_rigid_contact_have_the_numbers_that_are_solved(name: st
 
 FAULTS = [
     ({"k": math.inf}, OUT_OF_DOUBLES), ({"b": math.nan}, OUT_OF_DOUBLES), ({"b": -0.4}, OUT_OF_RANGE),
-    ({"R": 1.2}, OUT_OF_RANGE), ({"s": -1.0}, OUT_OF_RANGE), ({"mu": -0.1}, OUT_OF_RANGE), ({"mu": 0.05}, OUT_OF_RANGE),
+    ({"R": 2.2}, OUT_OF_RANGE), ({"s": -1.0}, OUT_OF_RANGE), ({"mu": -0.1}, OUT_OF_RANGE), ({"mu": 0.05}, OUT_OF_RANGE),
     ({"duty": 0.0}, OUT_OF_RANGE), ({"duty": 1.0}, OUT_OF_RANGE), ({"duty": math.nan}, OUT_OF_DOUBLES),
     ({"A": -1.0}, NO_REASON),
 ]  # fmt: skip
@@ -294,7 +294,7 @@ def rig(**changes: Any) -> dict[str, Any]:
 
 SOFT = {"gap": [1, 0], "upper": 1, "stiffness": 1}
 SLIDE = {"row": [1, 0], "kinetic": 1}
-BOTH = "a rigid contact has a restitution, a soft one a stiffness or law, damping, preload and release"
+BOTH = "a rigid contact has a restitution, a soft one a stiffness, damping or law, preload and release"
 
 WRONG = [
     ({"gap": [1, 0]}, "system.gap: found beside [[system.contacts]], must stand in one of these tables"),
@@ -319,10 +319,11 @@ WRONG = [
     ({"contacts__1__restitution": 1.0}, f"system.contacts[1]: found restitution and stiffness; {BOTH}"),
     ({"contacts__0__release": "force"}, f"system.contacts[0]: found restitution and release; {BOTH}"),
     ({"contacts__0__restitution": None}, f"system.contacts[0]: restitution missing; {BOTH}"),
-    ({"contacts__1__stiffness": None}, f"system.contacts[1]: stiffness missing; {BOTH}"),
-    ({"contacts__0__restitution": -0.5}, "system.contacts[0].restitution: found -0.5 at the defaults, must be 0 to 1"),
+    ({"contacts__1__stiffness": None, "contacts__1__damping": None}, f"system.contacts[1]: stiffness missing; {BOTH}"),
+    ({"contacts__0__restitution": -0.5}, "system.contacts[0].restitution: found -0.5 at the defaults, must be 0 to 2"),
     ({"contacts__1__stiffness": -1}, "system.contacts[1].stiffness: found -1 at the defaults, must be 0 or more"),
-    ({"contacts__1__damping": "-s"}, "system.contacts[1].damping: found -20 at the defaults, must be 0 or more"),
+    ({"contacts__1__damping": "-s", "contacts__1__release": "force"},
+     "system.contacts[1].damping: found -20 at the defaults, must be 0 or more with release"),
     ({"contacts__1__preload": -0.5}, "system.contacts[1].preload: found -0.5 at the defaults, must be 0 or more"),
     ({"contacts__1__preload": "1 / (k - 3)"}, "system.contacts[1].preload: found inf at the defaults, must be finite"),
     ({"contacts__1__stiffness": "ks"}, "system.contacts[1].stiffness: unknown name 'ks'"),
