@@ -36,6 +36,7 @@ from workers.model.toml_text import parse_toml, read_toml
 from workers.results import (
     CYCLE_PERIOD,
     DRIFT_PER_PERIOD,
+    ENERGY_ERROR,
     NO_REASON,
     OUT_OF_RANGE,
     REGIME,
@@ -169,6 +170,7 @@ class System:
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", DRIFT_PER_PERIOD)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
+        cycles += [("system", ENERGY_ERROR)] if self.definition.unforced and not self.definition.friction else []
         laws = law_variables(self.definition.fitted)
         return [*measure_variables(self.definition.measures), *elements, *laws, *drifts, *cycles]
 
