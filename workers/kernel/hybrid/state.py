@@ -24,7 +24,7 @@ def number_of(elements, states, slips, phase_index):
 
     For the code see hybrid_modes.ModeCode.
     """
-    number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[1]
+    number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[2]
     for state in states:
         number = (2 * half + 1) * number + state + half
     for sign in slips:
@@ -35,7 +35,7 @@ def number_of(elements, states, slips, phase_index):
 @inlined
 def read_number(elements, number, states, slips):
     """Write the states of contacts and slips in the mode of this number and return its phase."""
-    half, most = 2 * elements.depths.shape[2], elements.speeds.shape[1]
+    half, most = 2 * elements.depths.shape[2], elements.speeds.shape[2]
     for f in range(len(slips) - 1, -1, -1):
         slips[f] = number % (2 * most + 1) - most
         number //= 2 * most + 1
@@ -57,7 +57,8 @@ def segment_of(starts, at):
 @inlined
 def slip_of(elements, e, sliding):
     """Return the state of friction e that slides at this nonzero velocity, see hybrid_modes.ModeCode."""
-    return (1 if sliding > 0.0 else -1) * (1 + segment_of(elements.speeds[e], abs(sliding)))
+    side = 1 if sliding > 0.0 else 0
+    return (2 * side - 1) * (1 + segment_of(elements.speeds[e, side], abs(sliding)))
 
 
 @inline_always
