@@ -23,7 +23,10 @@ _HOMES = {"solve_tile": "workers.tile", "trace": "workers.history", "System": "w
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name at its first use, so that reading a spec does not wait for numba."""
+    """Return a public name of the package, imported at its first use: importing ``Settings`` does not wait for numba.
+
+    Raise AttributeError for any other name.
+    """
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

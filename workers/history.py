@@ -1,4 +1,4 @@
-"""``trace``: the history of one cell, with its section states, every impact, and running means of the exponents."""
+"""``trace``: the motion of one machine, with its state once a period, every impact, and running means of exponents."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -25,15 +25,15 @@ MAX_TRACE_PERIODS = 1_000_000
 
 
 class Trace(NamedTuple):
-    """History of one cell over K periods.
+    """The motion of one machine over K forcing periods.
 
-    times      (K + 1,) section times k T
-    states     (K + 1, 2n) physical section states, the initial state first
+    times      (K + 1,) times k T of the sections, the instants at which the force has one fixed phase
+    states     (K + 1, 2n) displacements, then velocities, at the sections; the initial state first
     impacts    (N, 3) time, side and speed before the impact, of every impact. The side is +1 for the upper and -1 for
-               the lower stop. For contact c of a machine with modes it is +-(1 + c). Of the infinitely many impacts of
-               a chatter, those above rounding are listed. A row of speed 0 marks the end of the chatter, where the mass
-               comes to rest on the stop
-    exponents  (K, m) running means of the exponents per period. m is 0, 1 or the number of all exponents, as
+               the lower stop. For contact c of a machine whose law changes by more than one rigid contact it is
+               +-(1 + c). Of the infinitely many impacts of a chatter, those above rounding are listed. A row of speed 0
+               marks the end of the chatter, where the mass comes to rest on the stop
+    exponents  (K, m) running means of the Lyapunov exponents per period. m is 0, 1 or the number of all exponents, as
                ``settings.exponents`` asks; all are 2n, or 2n - 1 if a coordinate drifts
     """
 
@@ -50,7 +50,7 @@ def trace(
     settings: Settings | None = None,
     cycle: float | None = None,
 ) -> Trace:
-    """Return the history of one cell from its initial state over ``periods`` forcing periods, with nothing dropped.
+    """Return the motion of one machine over ``periods`` forcing periods from its initial state, transient included.
 
     system    name of a packaged system, or a System
     params    parameter name -> value; all others have their defaults
@@ -60,7 +60,8 @@ def trace(
 
     The exponents of a machine without a force are per unit time. Raise KeyError for an unknown name. Raise ValueError,
     in one line, if ``cycle`` is given for a machine with a force, ``periods`` is out of range, or the parameters have
-    no motion. Also raise ValueError if the motion costs more evaluations than a cell may spend on as many periods.
+    no motion. Also raise ValueError if the motion costs more evaluations than a cell may spend on this number of
+    periods.
 
     >>> from workers import trace
     >>> history = trace("two-mass", {"omega": 4.0, "b": 0.1}, periods=3)
@@ -109,7 +110,11 @@ def trace(
 
 
 def _a_period_later(batch: MotionBatch, cell: NDArray[np.int64]) -> MotionBatch:
-    """Return the one motion of a batch a period later, with room for all of its impacts."""
+    """Return a batch of one motion after one more forcing period.
+
+    If the motion fills its record of impacts, the period is repeated with twice the room. ``cell`` is the row of the
+    motion in the batch, as an array.
+    """
     before = map_fields(batch.motions._replace(impacts=batch.motions.impacts[:, :0]), np.copy)
     while True:
         batch.completed[:] = 0
@@ -121,10 +126,10 @@ def _a_period_later(batch: MotionBatch, cell: NDArray[np.int64]) -> MotionBatch:
 
 
 def within_periods(oscillators: Oscillator, states: Array, times: Array) -> Array:
-    """Return the physical states (S, K, 2n) of one machine at times (K,) within the period after each state.
+    """Return the states (S, K, 2n) of one machine at times (K,) within the period after each of S states.
 
-    oscillators  record of the one machine
-    states       (S, 2n) physical section states
+    oscillators  record of the machine, a batch of one
+    states       (S, 2n) displacements, then velocities, at a section, an instant t = k T of fixed phase of the force
     times        (K,) times after the section
     """
     reached: Array = oscillators.with_modes(lambda _: states_within(oscillators, 0, states, times), np.array([0]))

@@ -1,4 +1,4 @@
-"""The tables of result variables, regimes and reasons."""
+"""The tables of result variables, of regimes (classes of motion) and of reasons for missing or uncertain results."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,7 +11,10 @@ from workers.settings import Settings
 
 @dataclass(frozen=True)
 class CodeMeaning:
-    """Meaning of a code in the data: ``name`` stands in data and commands, ``text`` on pictures and pages."""
+    """Meaning of an integer code in a result array.
+
+    ``name`` stands in data and commands, ``text`` on pictures and pages.
+    """
 
     code: int
     name: str
@@ -31,9 +34,9 @@ REGIMES = tuple(CodeMeaning(code, name, name.replace("_", " ")) for code, name i
 
 @dataclass(frozen=True)
 class Reason(CodeMeaning):
-    """A reason for a missing or uncertain result.
+    """A reason why a cell has no result, or an uncertain one.
 
-    ``text`` is a sentence, and ``regime`` the regime of the cells with this reason.
+    ``text`` is a sentence, and ``regime`` the code of the regime of the cells with this reason.
     """
 
     regime: int
@@ -91,7 +94,7 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
 
 
 class InvalidError(ValueError):
-    """Error for parameters without an oscillator; ``reason`` is the code of the reason."""
+    """Error for parameters or an initial state without a motion; ``reason`` is the code of the reason."""
 
     def __init__(self, reason: int) -> None:
         super().__init__(REASONS[reason].text)
@@ -105,7 +108,7 @@ OF_MOTIONS = frozenset({NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, LOCKING})
 
 @dataclass(frozen=True)
 class Variable:
-    """One result array.
+    """A result variable: name, type and meaning of an array with one entry for each cell.
 
     name              name in the store
     dtype             numpy type
@@ -113,7 +116,7 @@ class Variable:
     long_name, units  CF attributes
     extra_dims        dimensions after the dimensions of the cells: "attractor" (number of attractors kept), "exponent"
                       (2n), "state" (2n), "sample" (section_samples)
-    sparse            True if most tiles hold only the fill value; such tiles are stored without a chunk
+    sparse            True if most blocks of cells have only the fill value; such blocks are not stored
     label             short words for tables and lists; empty if the name suffices
     regimes           codes of the regimes in which cells have this result
     allows_infinite   True if a negative value stands for infinitely many, at rest on a stop
@@ -134,15 +137,15 @@ class Variable:
 
     @property
     def words(self) -> str:
-        """The label, or the name as words if there is no label."""
+        """The label of the variable, or its name with spaces if it has no label."""
         return self.label or self.name.replace("_", " ")
 
     def meaning(self, code: int) -> CodeMeaning:
-        """Return the meaning of a code of this variable."""
+        """Return the meaning of a code that occurs among the values of this variable."""
         return next(meaning for meaning in self.codes if meaning.code == code)
 
     def code_of(self, name: str) -> int:
-        """Return the code of this variable with this name."""
+        """Return the code of this variable whose meaning has the name ``name``."""
         return next(meaning.code for meaning in self.codes if meaning.name == name)
 
 
@@ -163,7 +166,7 @@ def _count(name: str, long_name: str, *extra: str, fill: int = 0, label: str = "
 
 
 def count_of_orbit(name: str, long_name: str, label: str = "", endless: bool = True) -> Variable:
-    """Return the variable of a count along an orbit, a result of periodic cells only.
+    """Return the Variable of a count along a periodic orbit, which only periodic cells have.
 
     name, long_name, label  see Variable
     endless                 True if the count may be infinite, as the number of impacts may
@@ -252,12 +255,16 @@ _BY_NAME = {
 
 
 def result_named(name: str) -> Variable:
-    """Return the result variable of this name that all machines may have; for any other name a plain number."""
+    """Return the result variable of this name, or that of a plain float64 number if the name is not known."""
     return _BY_NAME.get(name) or _number(name, name)
 
 
 def in_words(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return the name of the regime of a cell, and the sentence of its reason if the cell has one."""
+    """Return the regime and the reason of a cell as texts, by the names of the variables ``regime`` and ``reason``.
+
+    ``values`` has the codes of the cell by the same names. The regime becomes its name, the reason its sentence. A cell
+    without a reason has no entry for it.
+    """
     reason = int(values.get(REASON.name, NO_REASON))
     why = {REASON.name: REASONS[reason].text} if reason != NO_REASON else {}
     return {REGIME.name: REGIME.meaning(int(values[REGIME.name])).name} | why
@@ -269,10 +276,10 @@ def result_variables(
     """Return the variables of a solution with these settings; ``regime`` comes last, since it is written last.
 
     settings       see Settings
-    attractors     True if each cell lists all its attractors: every result except the cost has the dimension
+    attractors     True if each cell lists all its attractors: every result except ``periods_used`` has the dimension
                    ``attractor``
-    basins         True if each initial state has the label of the attractor that it reaches
-    own_variables  the machine's own variables, see ``model.measures``
+    basins         True if each cell is an initial state and has the label of the attractor that the state reaches
+    own_variables  variables that only this machine has, see ``model.measures``
     """
     variables = [LABEL, SETTLED] if basins else []
     if settings.exponents != "none":
@@ -305,9 +312,10 @@ _IN_TIME = {
 
 
 def in_time(variable: Variable) -> Variable:
-    """Return the variable for a machine without a force: per unit time in place of per forcing period.
+    """Return the variable as it is for a machine without a force: rates per unit time in place of per forcing period.
 
-    Motion without impact is at rest there, or slides for ever.
+    In such a machine motion without impact is at rest, or slides for ever. The regime ``no_impact`` is therefore called
+    equilibrium.
     """
     meaning = variable.long_name.replace(PER_PERIOD, PER_TIME)
     still = variable.name == REGIME.name
@@ -329,18 +337,21 @@ _STICKING = {
 
 
 def of_friction(variable: Variable, stops: bool) -> Variable:
-    """Return the variable for a machine with friction, which may stick; ``stops`` is True if it has a rigid stop."""
+    """Return the variable with its meaning and label for a machine with friction, which may stick.
+
+    ``stops`` is True if the machine has a rigid stop.
+    """
     meaning, label = _STICKING[stops].get(variable.name, (variable.long_name, variable.label))
     return replace(variable, long_name=meaning, label=label)
 
 
 def of_one(variable: Variable) -> Variable:
-    """Return the variable for a single attractor of a cell."""
+    """Return the variable without its dimension ``attractor``, for a cell with a single attractor."""
     return replace(variable, extra_dims=tuple(dim for dim in variable.extra_dims if dim != ATTRACTOR))
 
 
 def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: int) -> dict[str, Any]:
-    """Return the arrays with the first attractor of each cell only, as views.
+    """Return the arrays reduced to the first attractor of each cell, as views.
 
     variables  result variables
     arrays     arrays by name, whose first ``dims`` axes are those of the cells
@@ -351,7 +362,10 @@ def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: in
 
 
 def reason_counts(codes: np.ndarray) -> dict[str, int]:
-    """Return the number of cells by reason, each reason as its sentence; cells without a reason are left out."""
+    """Return the number of cells with each reason, by the sentence of the reason; ``codes`` are the cells' reasons.
+
+    Cells without a reason are left out.
+    """
     present, counts = np.unique(codes[codes != NO_REASON], return_counts=True)
     return {REASONS[code].text: count for code, count in zip(present.tolist(), counts.tolist(), strict=True)}
 
@@ -359,9 +373,9 @@ def reason_counts(codes: np.ndarray) -> dict[str, int]:
 def empty_results(
     variables: tuple[Variable, ...], shape: tuple[int, ...], sizes: dict[str, int]
 ) -> dict[str, np.ndarray]:
-    """Return arrays of cell shape ``shape``, each filled with its variable's value for a cell without a result.
+    """Return an array for each variable, filled with the value that stands for no result.
 
-    ``sizes`` has the length of each extra dimension by name.
+    ``shape`` is the shape of the cells. ``sizes`` has the length of each further dimension by name.
     """
     return {
         v.name: np.full(shape + tuple(sizes[dim] for dim in v.extra_dims), v.fill, dtype=v.dtype) for v in variables

@@ -1,4 +1,4 @@
-"""The settings of a cell: one record, validated once."""
+"""The settings of the solver, which say how each cell (a machine at given parameters) is computed; validated once."""
 
 import sys
 from dataclasses import dataclass
@@ -23,21 +23,21 @@ INTEGER_BOUNDS = {
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of a cell: what is computed, how accurately, and at what cost.
+    """The settings of the solver: what is computed for each cell, how accurately, and at what cost.
 
     exponents          "none", "largest" or "spectrum"
     tolerance          target standard error of the largest exponent, per forcing period; > 0
     max_periods        maximum number of forcing periods for deciding a cell's class, and for averaging; 1 to 500
                        million (method "adaptive")
     survival           maximum number of further forcing periods for watching motion that looks chaotic; 0 to 500
-                       million (method "adaptive"). If a stable orbit is known, motion is watched for all of them, else
-                       for at least a 32nd
+                       million (method "adaptive"). If a stable orbit is known, all of these periods are watched, else
+                       at least a 32nd of their number
     method             "adaptive", or "fixed": the schedule of Li & Tan (2011), a transient and then an average
     transient_periods  forcing periods dropped before the average; 0 to 500 million (method "fixed")
     periods            forcing periods of the average; 1 to 500 million (method "fixed")
     max_period         longest orbit searched for, in forcing periods; 1 to 10,000. If the exponent is clearly negative,
                        orbits of up to 1000 periods are searched for in any case (method "adaptive")
-    section_samples    K: the last K section states of each cell are kept; 0 to 100,000
+    section_samples    K: the last K states of each cell at a fixed phase of the force are kept; 0 to 100,000
     observe            observables of each cell, separated by commas, such as "impact_phase:stop,maximum:gap"; "" for
                        none. The machines of the system must have them, see model/observables.py
     observe_values     the first K values of each observable are kept; 1 to 100,000
@@ -81,6 +81,6 @@ class Settings:
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """Raise ValueError, in one line, unless ``value`` is an integer from ``low`` to ``high``."""
+    """Raise ValueError, in one line that begins with ``name``, unless ``value`` is an integer from low to high."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{name}: found {value!r}, must be a whole number, {low} to {high}")

@@ -31,9 +31,9 @@ def solve_lines(
     backward  True if each line is solved from its last cell to its first
 
     The first cell of a line starts from its own initial state. Every other cell starts from the nearest earlier cell
-    with ``state``, the section state on the attractor. Invalid and failed cells have no ``state``. If the gap has
-    become too narrow for the state, its gap coordinate is moved onto the stop, as by a wall that closes in. The
-    velocities stay; an outward velocity is reversed by the impact that follows at once.
+    with ``state``, a state on the attractor at a fixed phase of the force. Invalid and failed cells have no ``state``.
+    If the gap has become too narrow for the state, its gap coordinate is moved onto the stop, as by a wall that closes
+    in. The velocities stay; an outward velocity is reversed by the impact that follows at once.
 
     A cell depends on its line, but on no other line. Raise the errors of ``solve_tile``, and ValueError if the axis
     does not exist.
@@ -60,7 +60,13 @@ def solve_lines(
 
 
 def _starts(record: System, line: Mapping[str, Array], last: Array) -> dict[str, Array]:
-    """Return the initial states of the cells at one position of all lines: the newest known states, else their own.
+    """Return the initial state of each cell of a line, by the names of the states.
+
+    A line is the set of cells at one position along the axis of the sweep.
+
+    record  the system
+    line    parameters of the cells (...)
+    last    (..., 2n) newest known state on an attractor; if it is NaN, the cell's own initial state counts
 
     A gap coordinate beyond a stop is moved onto the stop. Without velocity the mass rests there, see
     kernel.coordinates.start_at.

@@ -1,4 +1,4 @@
-"""``solve_tile``: the results of every cell of a tile, as arrays, from arrays of parameters."""
+"""``solve_tile``: the results of every cell of a tile, a block of cells, as arrays, from arrays of parameters."""
 
 import math
 import sys
@@ -31,7 +31,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
     system    name of a system in the package, such as "two-mass", or a System
     params    parameter name -> float or array; all others have their defaults. The arrays broadcast to the shape of
               every result. "spectrum" and "state" have one more axis (2n; "spectrum" 2n - 1 if a coordinate drifts),
-              "section" two (K, 2n)
+              "section" (the last K states at a fixed phase of the force) two (K, 2n)
     settings  see Settings
 
     Exponents are per forcing period. ``System.variables`` has the variables and their units. A cell depends on its own
@@ -71,10 +71,11 @@ def solve_parts(
     solve_part: Callable[[dict[str, Array], Results], None],
     attractors: int = 0,
 ) -> Results:
-    """Return the arrays of these variables, solved in blocks of at most ``at_once`` cells.
+    """Return the result arrays of all cells, by name; at most ``at_once`` cells are solved together.
 
     record      the system
     params      as for ``solve_tile``
+    settings    see Settings
     variables   result variables
     at_once     maximum number of cells solved together
     solve_part  function that writes the results of N cells from their parameters (N,)
@@ -92,15 +93,17 @@ def solve_parts(
 
 
 def initial_state(record: System, params: Mapping[str, Array]) -> Array:
-    """Return the physical initial states (..., 2n) that are among the parameters (...)."""
+    """Return the initial states (..., 2n) of cells from their parameters (...): displacements, then velocities."""
     return np.stack([params[name] for name in record.states], axis=-1)
 
 
 def result_arrays(
     variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0, exponents: int = 0
 ) -> Results:
-    """Return arrays of ``count`` cells without a result.
+    """Return the result arrays of ``count`` cells, by name, filled with the values that stand for no result.
 
+    variables   result variables
+    settings    see Settings
     size        number of components of a state
     attractors  number of attractors kept for each cell
     exponents   number of exponents, 0 for ``size``

@@ -39,13 +39,15 @@ def add_to_blocks(levels, x):
 
 @kernel
 def standard_error(levels):
-    """Return the standard error of the mean of correlated values: the largest from blocks that are long enough.
+    """Return the standard error of the mean of correlated values.
+
+    levels (LEVELS, 4)  blocking analysis of the values, see ``add_to_blocks``
 
     A block is the mean of B consecutive values. Blocks of B = 2^k values give the error e_k, which grows from sigma /
     sqrt(N) to sqrt(sigma^2 tau / N). Blocks are long enough from the first k with B^3 > 2 N (e_k / e_0)^4 (Lee et al.
-    2011). Longer blocks reveal weak correlations, such as long flights that now and then miss the stops. The result is
-    NaN below FEWEST_BLOCKS values. If no k qualifies, it is the largest e_k of the levels with at least FEWEST_BLOCKS
-    blocks.
+    2011). The result is the largest e_k of that k and all longer blocks: these reveal weak correlations, such as long
+    flights that now and then miss the stops. If no k qualifies, it is the largest e_k of the levels with at least
+    FEWEST_BLOCKS blocks. It is NaN for fewer than FEWEST_BLOCKS values.
     """
     error, first, count, enough = np.nan, np.nan, levels[0, COUNT], False
     for k in range(LEVELS):
@@ -63,7 +65,7 @@ def standard_error(levels):
 
 @inlined
 def add_growth(levels, weighted, growth, k, periods):
-    """Add the growth g of the first tangent vector in period k of an interval of ``periods`` periods.
+    """Add the growth g of the first tangent vector in period k to the averages over an interval of ``periods`` periods.
 
     levels   (LEVELS, 4)  blocking analysis of the growth, for its plain mean and standard error
     weighted (2,)         sums of w g and of w over the interval

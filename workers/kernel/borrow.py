@@ -1,5 +1,8 @@
 """Borrowed arrays, which the compiler does not reference-count, and rows of batches of records.
 
+A record is a named tuple of arrays. A batch of records is one record with one more leading axis in each field, and a
+row of the batch is one of its records.
+
 Reference counting takes several nanoseconds for every array that a kernel receives or reads from a record. The dozens
 of arrays of one cell would cost as much time as its flights. The caller keeps all arrays alive, so counting is not
 needed. The compiler sees a borrowed array only in the kernel that borrows it. Each hot kernel therefore borrows its
@@ -21,7 +24,7 @@ Given = TypeVar("Given")
 
 
 def borrow(value: Given) -> Given:
-    """Return the same array or record, uncounted in kernels; it must not outlive the owner of its memory."""
+    """Return the same array or record; in kernels it is not reference-counted and must not outlive its memory."""
     return value
 
 
@@ -36,7 +39,7 @@ def _compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any
 
 
 def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """Return a value of type ``kind`` whose arrays are not reference-counted."""
+    """Return an LLVM value of the Numba type ``kind`` whose arrays are not reference-counted."""
     if isinstance(kind, types.BaseTuple):
         parts: Any = enumerate(kind)  # type: ignore[arg-type]
         fields = [without_counts(context, builder, part, builder.extract_value(value, i)) for i, part in parts]
@@ -49,13 +52,16 @@ def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 
 def row_of(record: Given, r: int) -> Given:
-    """Return row r of a batch of records; kernels borrow it and pass it by reference, see ``by_reference.py``."""
+    """Return record r of a batch of records, a named tuple whose fields all have one more leading axis.
+
+    Kernels borrow the record and pass it by reference, see ``by_reference.py``.
+    """
     row: Given = map_fields(record, lambda field: field[r])
     return row
 
 
 def row_type(kind: Any) -> Any:
-    """Return the type of a row of a batch of records of type ``kind``."""
+    """Return the Numba type of one record of a batch of records of type ``kind``: each array has one axis less."""
     if isinstance(kind, types.NamedTuple):
         return types.NamedTuple([row_type(field) for field in kind], kind.instance_class)
     if isinstance(kind, types.Array):
@@ -64,7 +70,7 @@ def row_type(kind: Any) -> Any:
 
 
 def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
-    """Return the value of row r of a batch of records of type ``kind``."""
+    """Return the LLVM value of record r of a batch of records ``value`` of the Numba type ``kind``."""
     if isinstance(kind, types.NamedTuple):
         fields = [row_value(context, builder, part, builder.extract_value(value, i), r) for i, part in enumerate(kind)]
         return context.make_tuple(builder, row_type(kind), fields)
@@ -81,7 +87,10 @@ def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
 
 
 def many_type(kind: Any) -> Any:
-    """Return the type of a batch of records whose rows have type ``kind``, the inverse of ``row_type``."""
+    """Return the Numba type of a batch of records of type ``kind``: each array has one more axis.
+
+    Inverse of ``row_type``.
+    """
     if isinstance(kind, types.NamedTuple):
         return types.NamedTuple([many_type(field) for field in kind], kind.instance_class)
     if isinstance(kind, types.Array):
@@ -90,7 +99,10 @@ def many_type(kind: Any) -> Any:
 
 
 def many_value(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """Return a batch of records with one row, at the address of that row; its numbers lie in the caller's frame."""
+    """Return the LLVM value of a batch with one record, in the memory of the record ``value``.
+
+    ``kind`` is the Numba type of the record. Numbers of the record are copied to the stack frame of the caller.
+    """
     if isinstance(kind, types.NamedTuple):
         fields = [many_value(context, builder, part, builder.extract_value(value, i)) for i, part in enumerate(kind)]
         return context.make_tuple(builder, many_type(kind), fields)

@@ -1,8 +1,9 @@
 """Passing records and arrays between kernels by reference: one pointer instead of the 200 words of an oscillator.
 
-Numba passes a tuple of arrays by value, field by field. The Numba types here represent a record by its address. The
-caller keeps the arrays alive. References are not counted (see ``borrow.py``) and are valid as long as the function that
-created them. No function may return one. In plain Python ``by_reference`` and ``by_value`` return their argument.
+A record is a named tuple of arrays and numbers. Numba passes it by value, field by field. The Numba types here
+represent a record by its address. The caller keeps the arrays alive. References are not counted (see ``borrow.py``) and
+are valid as long as the function that created them. No function may return one. In plain Python ``by_reference`` and
+``by_value`` return their argument.
 """
 
 from typing import Any, TypeVar
@@ -31,35 +32,45 @@ Given = TypeVar("Given")
 
 
 def by_reference(value: Given) -> Given:
-    """Return the same record; kernels pass it by reference, with the same fields."""
+    """Return the same record, a named tuple. In kernels its address is passed on; its fields are read as before."""
     return value
 
 
 def row_in(record: Given, r: int) -> Given:
-    """Return row r of a batch of records, by reference: fields are loaded when used, which suits large records."""
+    """Return record r of a batch of records, a named tuple whose fields have one more leading axis, by reference.
+
+    Its fields are loaded when they are used, which suits large records.
+    """
     return row_of(record, r)
 
 
 def as_many(record: Given) -> Given:
     """Return a batch of records that has this record as its only row, in the same memory; kernels pass it by reference.
 
-    Functions of rows of a batch, and functions called by symbol, accept the result.
+    Kernels that take a batch and a row number, and the functions of ``external.py``, accept the result.
     """
     return many_of(record)
 
 
 def by_value(value: Given) -> Given:
-    """Return the same record or array; kernels pass it by value again."""
+    """Return the same record or array; in kernels, undo ``by_reference``."""
     return value
 
 
 def with_phase(oscillator: Any, tau: Any) -> Any:
-    """Return the oscillator with forcing phase ``tau`` at a section; kernels pass it by reference."""
+    """Return the oscillator with another forcing phase ``tau`` at its section; kernels pass it by reference.
+
+    The section is the instant, once a period, at which motions start.
+    """
     return oscillator._replace(tau=tau)
 
 
 def without_mode_table(oscillators: Any) -> Any:
-    """Return the oscillators without their table of modes, the last field, by reference: rows are read faster."""
+    """Return a batch of oscillators without its last field, the table of their modes (sets of linear equations).
+
+    Machines with one rigid contact have an empty table, and kernels read rows of the batch faster without it. The batch
+    is passed by reference.
+    """
     return oscillators
 
 
@@ -72,12 +83,15 @@ class RecordRef(types.Type):
 
 
 def type_by_reference(kind: Any) -> Any:
-    """Return the type by reference of a type: records and arrays by address, numbers as they are."""
+    """Return the Numba type for passing a value of type ``kind`` by reference. Records and arrays become an address.
+
+    Numbers stay as they are.
+    """
     return RecordRef(kind) if isinstance(kind, types.BaseTuple | types.Array) else kind
 
 
 class RowRef(types.Type):
-    """Numba type of a row of a batch of records of type ``kind``: the address of the batch and the row number."""
+    """Numba type of one record of a batch of records of type ``kind``, by the batch's address and a row number."""
 
     def __init__(self, kind: types.Type) -> None:
         self.kind: Any = kind
@@ -139,7 +153,7 @@ def _row_attribute(context: Any, builder: Any, row: RowRef, value: Any, name: st
 
 
 def _row_at(context: Any, builder: Any, row: RowRef, record: Any, number: Any) -> Any:
-    """Return the value of row ``number`` of the batch of records at the address ``record``."""
+    """Return the LLVM value of record ``number`` of the batch at the address ``record``; its Numba type is ``row``."""
     proxy = create_struct_proxy(row)(context, builder)
     proxy.record, proxy.number = record, number
     return proxy._getvalue()
@@ -185,12 +199,15 @@ def _lend_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -
 
 
 def given_value(builder: Any, kind: types.Type, value: Any) -> Any:
-    """Return the value of a record or array of type ``kind``, which may be by reference."""
+    """Return the LLVM value of a record or array of type ``kind``.
+
+    If it is passed by reference, it is loaded from its address ``value``.
+    """
     return builder.load(value) if isinstance(kind, RecordRef) else value
 
 
 def make_reference(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
-    """Return a value of type ``kind`` in the form of ``type_by_reference``."""
+    """Return the LLVM value with which a value of type ``kind`` is passed by reference, see ``type_by_reference``."""
     return alloca_once_value(builder, value) if type_by_reference(kind) != kind else value
 
 

@@ -1,8 +1,8 @@
 """The cache folder of compiled kernels on disk.
 
-Numba's cache does not notice an edit in another module, so the folder's name contains a hash of all sources of this
-package. The folder lies in NUMBA_CACHE_DIR if that variable is set. If the folder cannot be written, there is no cache.
-Folders of other sources that have not been used for UNUSED_DAYS are removed.
+Numba's cache does not notice an edit in a module other than the kernel's, so the folder's name contains a hash of all
+sources of this package. The folder lies in NUMBA_CACHE_DIR if that variable is set. If the folder cannot be written,
+there is no cache. Folders of other versions of the sources that have not been used for UNUSED_DAYS are removed.
 """
 
 import hashlib
@@ -28,9 +28,9 @@ their folders meanwhile."""
 
 
 def _source_hash() -> str:
-    """Return a hash of the sources and their folder.
+    """Return a hash of all sources of the package and of the path of its folder, for the name of the cache folder.
 
-    Numba looks kernels up by path and would not find those of a copy.
+    The path counts since Numba looks kernels up by path and would not find those of a copy.
     """
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256(os.fsencode(package) + b"\0")
@@ -48,7 +48,10 @@ def _cache_root() -> Path:
 
 
 def _prepare_cache() -> Path | None:
-    """Make the cache folder of these sources and return it; None, with a one-line warning, if it cannot be written."""
+    """Make the cache folder of these sources and return it.
+
+    Return None if it cannot be written. The main process then prints a warning of one line.
+    """
     folder = _cache_root() / f"workers-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -68,7 +71,7 @@ def _prepare_cache() -> Path | None:
 
 
 def _remove_unused(current: Path) -> None:
-    """Remove the folders of other sources beside ``current`` in which no file was read or written for UNUSED_DAYS."""
+    """Remove the cache folders of other versions of the sources beside ``current`` that are unused for UNUSED_DAYS."""
     oldest = time.time() - UNUSED_DAYS * 86400.0
     for folder in current.parent.glob("workers-*"):
         if folder == current or not re.fullmatch("workers-[0-9a-f]{16}", folder.name):
@@ -81,7 +84,7 @@ def _remove_unused(current: Path) -> None:
 
 
 def _last_use(folder: Path) -> float:
-    """Return the last time at which a process opened the folder, or a file in it was read or written."""
+    """Return the time, in seconds since 1970, when the folder was last opened or a file in it was read or written."""
     stats = [path.stat() for path in folder.rglob("*") if path.is_file()]
     return max([folder.stat().st_mtime, *(time for stat in stats for time in (stat.st_mtime, stat.st_atime))])
 
@@ -94,9 +97,9 @@ _lock = threading.RLock()
 
 @contextmanager
 def in_own_folder() -> Iterator[None]:
-    """Place the cache of the functions made within the block in CACHE; other functions keep their own folder.
+    """Place the cache of the functions that Numba makes within the block in the folder CACHE.
 
-    Numba decides on the folder when it makes a function.
+    Other functions keep their own folder. Numba decides on the folder when it makes a function.
     """
     if CACHE is None:
         yield

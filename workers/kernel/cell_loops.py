@@ -1,6 +1,6 @@
-"""Loops over cells between their intervals; each applies the kernels of one cell.
+"""Kernels over many cells, for the work between two runs of simulation: starts, states, tests and standard errors.
 
-``cells`` are the row numbers to process in batches of records.
+Records of many cells are batches, with one row for each cell. ``cells`` are the row numbers to process.
 """
 
 import math
@@ -33,9 +33,10 @@ def energy_norm(blocks, h):
 
 @kernel
 def scale_of(blocks, h):
-    """Return the scale of deviations of a motion at block state h (n, 2): the energy norm of h plus that of Y.
+    """Return the size of a motion, to which deviations of the motion are compared.
 
-    The swing columns of ``blocks`` bound the forced response Y.
+    The size is the energy norm of h plus that of Y. h (n, 2) is the state of the decoupled equations of motion. The
+    swing columns of ``blocks`` bound their forced response Y.
     """
     swing = 0.0
     for j in range(len(blocks)):
@@ -45,7 +46,13 @@ def scale_of(blocks, h):
 
 @kernel
 def start_motions(oscillators, motions, states, cells):
-    """Start motions at physical section states (N, 2n), each in the mode of its state, and return their scales (N,)."""
+    """Start motions at given states, in place, and return the sizes (N,) of the motions, see ``scale_of``.
+
+    oscillators  batch of N machines
+    motions      batch of motions, whose states and modes (the sets of linear equations that hold) are written
+    states       (N, 2n) displacements, then velocities, at a section, an instant t = k T of fixed phase of the force
+    cells        rows to process
+    """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     scales = np.zeros(len(states))
     for r in cells:
@@ -57,7 +64,11 @@ def start_motions(oscillators, motions, states, cells):
 
 @kernel
 def clamp_to_stops(row, upper, lower, states):
-    """Move physical states (N, 2n) that lie beyond a stop onto the stop, along the gap row (N, n), in place."""
+    """Move states (N, 2n) that lie beyond a stop onto the stop, in place; the move is along the gap row.
+
+    row           (N, n)  gap row g: the gap coordinate is y = g . x, x the displacements
+    upper, lower  (N,)    positions of the stops
+    """
     n = row.shape[1]
     for r in range(len(states)):
         y, square = 0.0, 0.0
@@ -73,9 +84,10 @@ def clamp_to_stops(row, upper, lower, states):
 
 @kernel
 def impact_free(oscillators, motions, cells):
-    """Return the mask of the cells that cannot impact from this section on.
+    """Return the mask of the cells that certainly never impact from this section on.
 
-    Such a cell is in flight, and the bound of |y| stays inside both stops.
+    Such a cell is in flight, and the bound of |y| for all later times stays inside both stops. A section is an instant
+    t = k T of fixed phase of the force.
     """
     gap, head, motions = by_reference(oscillators).gap, oscillators.head, by_reference(motions)
     free = np.empty(len(cells), dtype=np.bool_)
@@ -100,7 +112,10 @@ def reset_frames(blocks, motions, cells):
 
 @kernel
 def physical_states(oscillators, motions, cells):
-    """Return the states (len(cells), 2n) of these cells at the section: n displacements, then n velocities."""
+    """Return the states (len(cells), 2n) of these cells at a section: n displacements, then n velocities.
+
+    A section is an instant t = k T of fixed phase of the force.
+    """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
@@ -111,7 +126,10 @@ def physical_states(oscillators, motions, cells):
 
 @kernel
 def standard_errors(levels, cells):
-    """Return the standard errors of the averages of these cells."""
+    """Return the standard error (len(cells),) of the mean tangent growth of each of these cells.
+
+    levels (N, LEVELS, 4)  blocking analysis of each cell, see averages.add_to_blocks
+    """
     error = np.empty(len(cells))
     for e in range(len(cells)):
         error[e] = standard_error(levels[cells[e]])
@@ -120,12 +138,12 @@ def standard_errors(levels, cells):
 
 @kernel
 def excursions(oscillators, h, mode, periods, allowance, cells):
-    """Return the least and the greatest distance (N, 2) of the gap coordinate y from its rest y0, for N motions.
+    """Return the least and the greatest distance (N, 2) of the gap coordinate y from its rest position y0.
 
-    h         (N, n, 2)  block states at a section
-    mode      (N, 1)     numbers of their modes
+    h         (N, n, 2)  block states at a section t = k T: (h, h') of each decoupled equation of motion
+    mode      (N, 1)     numbers of the modes, the sets of linear equations that hold there
     periods   (N,)       numbers of periods to follow
-    allowance (N,)       maximum numbers of evaluations
+    allowance (N,)       maximum numbers of evaluations of the motion
     cells                rows to compute
 
     The result is NaN for other cells, and for motions that cannot be followed within ``allowance``.
@@ -146,9 +164,9 @@ def excursions(oscillators, h, mode, periods, allowance, cells):
 
 @kernel
 def states_within(oscillators, r, states, times):
-    """Return physical states (S, K, 2n) of cell r at K times after each of S section states.
+    """Return the states (S, K, 2n) of cell r at K times after each of S states: displacements, then velocities.
 
-    states (S, 2n)  physical section states
+    states (S, 2n)  states at a section, an instant t = k T of fixed phase of the force
     times  (K,)     times since the section, at most a period
 
     The states of a motion that cannot be followed are NaN.

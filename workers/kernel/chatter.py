@@ -1,8 +1,8 @@
-"""Chatter: hops off a stop, and the time at which their sequence ends.
+"""Chatter: ever lower hops of a mass off a stop under a load, and the time at which their sequence ends.
 
-Each hop is computed to rounding of its own height. y is a sum of terms of the machine's size, whose rounding hides low
-hops. The speed at which a hop begins is known, and so are the second and higher derivatives of y. The hop is their
-Taylor series.
+Each hop is computed to rounding of its own height. The gap coordinate y is a sum of terms of the machine's size, whose
+rounding hides low hops. The speed at which a hop begins is known, and so are the second and higher derivatives of y.
+The hop is their Taylor series.
 """
 
 import numpy as np
@@ -30,22 +30,26 @@ UNKNOWN = (np.nan, np.nan, np.nan)
 
 @inlined
 def chatter_time(load, w, R):
-    """Return the duration of chatter under this load on the stop after a rebound at speed w, to leading order."""
+    """Return the duration of chatter, hops of a mass on a stop until it rests, to leading order.
+
+    load  acceleration toward the stop
+    w, R  speed after the first rebound, coefficient of restitution
+    """
     return 2.0 * w / (load * (1.0 - R)) if w > 0.0 else 0.0
 
 
 @inlined
 def chatter_left(load, jerk, cA2k, w, R):
-    """Return ``chatter_time`` to second order.
+    """Return the duration of chatter, hops of a mass on a stop until it rests, to second order.
 
     load   acceleration toward the stop
-    jerk   third derivative of y toward the stop
+    jerk   third derivative of the gap coordinate toward the stop
     cA2k   velocity decays at the rate -cA^2k
     w, R   speed after the rebound, coefficient of restitution
 
-    The result is t (1 - t (jerk / load - 3 cA^2k / 2) / 3), with t the time to leading order. At zero velocity the load
-    rises at the rate jerk - cA^2k load. The result is limited to [t/2, 2t] for R near 1, where chatter is the slowest
-    process.
+    The result is t (1 - t (jerk / load - 3 cA^2k / 2) / 3), with t the time to leading order, see ``chatter_time``. At
+    zero velocity the load rises at the rate jerk - cA^2k load. The result is limited to [t/2, 2t] for R near 1, where
+    chatter is the slowest process.
     """
     t = chatter_time(load, w, R)
     return t * min(max(1.0 - t * (jerk / load - 1.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
@@ -53,16 +57,21 @@ def chatter_left(load, jerk, cA2k, w, R):
 
 @inlined
 def with_estimate(ends, end):
-    """Return the last three estimates (3,) of the time at which a chatter ends, with ``end`` appended as the newest."""
+    """Return the last three estimates of the time at which a chatter ends: the newer two of ``ends``, and ``end``."""
     return ends[1], ends[2], end
 
 
 @inlined
 def chatter_end(ends, remaining, R):
-    """Return the end of a chatter with ``remaining`` time, to fourth order, from estimates at its last three impacts.
+    """Return the time at which a chatter ends, to fourth order.
 
-    The error of ``chatter_left`` is a w^3 + b w^4 + ...; at the next impact these terms are multiplied by R^3 and R^4.
-    Richardson's extrapolation removes both terms, or the first if there are only two estimates.
+    ends       estimates at its last three impacts, each from ``chatter_left``; NaN if there are fewer
+    remaining  time until the newest estimate
+    R          coefficient of restitution
+
+    The error of an estimate is a w^3 + b w^4 + ..., with w the speed of the rebound. At the next impact these terms are
+    multiplied by R^3 and R^4. Richardson's extrapolation removes both terms, or the first if there are only two
+    estimates.
     """
     cube, fourth = R**3 / (1.0 - R**3), R**4 / (1.0 - R**4)
     before, after = ends[1] + cube * (ends[1] - ends[0]), ends[2] + cube * (ends[2] - ends[1])
@@ -73,7 +82,11 @@ def chatter_end(ends, remaining, R):
 
 @inlined
 def fastest_rate(blocks, waves, omega):
-    """Return the largest rate, per time, of oscillation, decay or growth of any block or harmonic."""
+    """Return the largest rate, in radians or e-folds per time, at which a flight oscillates, decays or grows.
+
+    blocks  constants of the decoupled equations, see Block
+    waves   (H, 2) harmonics of the force of frequency ``omega``
+    """
     rate = omega * len(waves)
     for j in range(len(blocks)):
         rate = max(rate, blocks[j, COLUMN.fast], -blocks[j, COLUMN.slow], np.sqrt(abs(blocks[j, COLUMN.lam])))
@@ -84,11 +97,12 @@ def fastest_rate(blocks, waves, omega):
 def hop(blocks, waves, omega, h, phase, side, w, s, rate):
     """Return (time, speed) of the impact that ends a hop off stop ``side``.
 
-    h     (n, 2)  block state at the start
-    phase         forcing phase at the start
-    w             speed of the rebound, > 0
-    s             time of the impact by the search
-    rate          see ``fastest_rate``
+    blocks, waves, omega  free flight with the gap coordinate y as its signal, see GuardedFlow
+    h     (n, 2)          block state at the start, (h, h') of each decoupled equation
+    phase                 forcing phase at the start
+    w                     speed of the rebound, > 0
+    s                     time of the impact that the certified search has found
+    rate                  see ``fastest_rate``
 
     The distance from the stop is t p(t) with p = w + sum_k u_k t^(k-1) / k!; at its zero the speed is -t p'(t). Return
     (s, 0) if the hop is longer than SHORT or the series fails.
@@ -129,9 +143,9 @@ def hop(blocks, waves, omega, h, phase, side, w, s, rate):
 
 @inlined
 def series(u, w, t):
-    """Return p(t) = w + sum_k u_k t^(k-1) over k = 2...ORDER, and p'(t).
+    """Return the polynomial p(t) = w + sum_k u_k t^(k-1) over k = 2...ORDER, and its derivative p'(t).
 
-    The distance of the mass from the stop is t p(t), see ``hop``.
+    In a hop that begins at speed w the distance of the mass from the stop is t p(t), see ``hop``.
     """
     p, slope = 0.0, 0.0
     for order in range(ORDER, 1, -1):

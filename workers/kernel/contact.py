@@ -23,13 +23,22 @@ SHORTEST_HOP = 1e-11
 
 @inlined
 def load_at_rest(side, v, a, cA2k):
-    """Return side * (a - cA^2k v), the acceleration that presses the mass on the stop once v is removed."""
+    """Return the acceleration that presses a mass on a stop once its velocity v is removed: side * (a - cA^2k v).
+
+    side   side of the stop, +-1
+    v, a   velocity and acceleration of the gap coordinate just before the impact
+    cA2k   cA^2k: a decrease of the velocity by v changes the acceleration by -cA^2k v
+    """
     return side * (a - cA2k * v)
 
 
 @inlined
 def hop_is_rounding(load, w, scale, period):
-    """Return True if a hop at speed w under this load is too low or too short to be resolved.
+    """Return True if a hop that begins at speed w under this load is too low or too short to be resolved.
+
+    load    acceleration toward the stop
+    scale   sum of moduli of the terms of the gap coordinate y, the unit of its rounding
+    period  forcing period
 
     Too low means w^2 / (2 load) < 1e4 eps scale. Motion that decays to an equilibrium on a stop hops under a load of
     rounding size. Such a motion never comes to rest, and its squares may underflow, where a comparison with zero fails.
@@ -39,10 +48,11 @@ def hop_is_rounding(load, w, scale, period):
 
 @inlined
 def outcome(load, v, R, scale, period):
-    """Return the outcome of an impact at velocity v under a load on the stop, see ``load_at_rest``.
+    """Return the outcome of an impact at velocity v: REBOUND, REST or LEAVE.
 
+    load    acceleration toward the stop, see ``load_at_rest``
     R       coefficient of restitution
-    scale   sum of moduli that add up to y
+    scale   sum of moduli of the terms of the gap coordinate y
     period  forcing period
 
     With R = 0 the mass sticks if the load presses, load > 0, and else leaves. With 0 < R < 1 chatter is followed hop by
@@ -56,7 +66,14 @@ def outcome(load, v, R, scale, period):
 
 @inlined
 def is_rebound(load, v, R, cA2k, scale, remaining, period):
-    """Return True if an impact at velocity v rebounds and does not end a chatter."""
+    """Return True if an impact at velocity v is an ordinary rebound, which vectorised loops over cells can compute.
+
+    load, scale, period  see ``outcome``
+    R, cA2k              coefficient of restitution; cA^2k, see ``load_at_rest``
+    remaining            time until the end of the period
+
+    Otherwise the impact ends a chatter or comes close to it, see ENDING.
+    """
     w = R * abs(v)
     change, pressing = 2.0 * abs(cA2k * v), load * (1.0 - R)
     slow = (change > ENDING * load and 2.0 * w > BRIEF * period * pressing) or 2.0 * w > remaining * pressing
@@ -65,7 +82,10 @@ def is_rebound(load, v, R, cA2k, scale, remaining, period):
 
 @inlined
 def kick(blocks, h, dv):
-    """Change the velocity of the gap coordinate by dv: z + dv k for a block state h (n, 2), in place."""
+    """Change the velocity of the gap coordinate by dv, in place, by adding dv k to a state h (n, 2).
+
+    h is the state of the decoupled equations of motion. The column k of ``blocks`` is the direction of an impact.
+    """
     for j in range(len(blocks)):
         h[j, 0] += dv * blocks[j, COLUMN.k0]
         h[j, 1] += dv * blocks[j, COLUMN.k1]
@@ -73,7 +93,11 @@ def kick(blocks, h, dv):
 
 @inlined
 def shift(blocks, h, dy):
-    """Move the gap coordinate by a rounding error dy: z + dy A k for a block state h (n, 2), in place; c.A k = 1."""
+    """Move the gap coordinate y = c . z by a rounding error dy, in place, by adding dy A k to a state h (n, 2).
+
+    h is the state of the decoupled equations of motion, z the same as a vector. A is the matrix of the flight and k the
+    direction of an impact; c . A k = 1.
+    """
     for j in range(len(blocks)):
         h[j, 0] += dy * blocks[j, COLUMN.Ak0]
         h[j, 1] += dy * blocks[j, COLUMN.Ak1]
@@ -81,7 +105,11 @@ def shift(blocks, h, dy):
 
 @inlined
 def add_columns(blocks, u, along_k, along_Ak):
-    """Add along_k k + along_Ak A k to a tangent vector u (n, 2), in place."""
+    """Add along_k k + along_Ak A k to a tangent vector u (n, 2) in coordinates of the decoupled equations, in place.
+
+    k is the direction of an impact, and A k its derivative by the matrix A of the flight; both are columns of
+    ``blocks``.
+    """
     for j in range(len(blocks)):
         u[j, 0] += along_k * blocks[j, COLUMN.k0] + along_Ak * blocks[j, COLUMN.Ak0]
         u[j, 1] += along_k * blocks[j, COLUMN.k1] + along_Ak * blocks[j, COLUMN.Ak1]
@@ -89,9 +117,12 @@ def add_columns(blocks, u, along_k, along_Ak):
 
 @inline_always
 def saltation(blocks, R, V, ratio):
-    """Carry tangent vectors V (m, n, 2) through an impact with ratio = a / v just before it, in place.
+    """Carry tangent vectors V (m, n, 2) through an impact with restitution R, in place, by its saltation matrix S.
 
-    S = I - (1 + R) [k (cA) + (A k) c - (a / v) k c].
+    ``ratio`` is a / v, acceleration by velocity of the gap coordinate just before the impact. With c the row of the gap
+    coordinate, A the matrix of the flight and k the direction of an impact,
+
+        S = I - (1 + R) [k (cA) + (A k) c - (a / v) k c].
     """
     q = 1.0 + R
     for u in V:
@@ -101,9 +132,10 @@ def saltation(blocks, R, V, ratio):
 
 @inline_always
 def rest_projection(blocks, cA2k, V):
-    """Carry tangent vectors V (m, n, 2) through a complete chatter into sticking, in place.
+    """Carry tangent vectors V (m, n, 2) through a chatter until the mass rests on the stop, in place.
 
-    P = I - (A k) c - k (cA - (cA^2k) c), to leading order in the chatter's duration; c P = cA P = 0.
+    With c the row of the gap coordinate, A the matrix of the flight and k the direction of an impact, they are
+    multiplied by P = I - (A k) c - k (cA - (cA^2k) c), to leading order in the chatter's duration; c P = cA P = 0.
     """
     for u in V:
         dy, dv = guard_of(blocks, u), guard_rate_of(blocks, u)
@@ -112,5 +144,5 @@ def rest_projection(blocks, cA2k, V):
 
 @inline_always
 def stop_position(oscillator, side):
-    """Return the position of a stop relative to y0: +b_upper or -b_lower."""
+    """Return the position of the stop on side +-1 relative to the gap coordinate at rest, y0: +b_upper or -b_lower."""
     return oscillator.head[HEAD.top] if side > 0 else oscillator.head[HEAD.bottom]

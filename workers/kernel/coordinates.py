@@ -1,8 +1,8 @@
-"""Conversion between physical section states and block coordinates, with the mode of a motion.
+"""Conversion between physical states and states of the decoupled equations of motion, with the mode of a motion.
 
-A physical state holds displacements and velocities. Block coordinates are (h, h') of each decoupled equation. A mode is
-one set of linear equations between two events, such as flight or rest on a stop. A motion carries its mode. A physical
-state alone gets its mode from ``start_at``.
+A physical state holds displacements and velocities; the other state holds (h, h') of each decoupled equation, or block.
+A mode is one set of linear equations between two events, such as flight or rest on a stop. A motion carries its mode. A
+physical state alone gets its mode from ``start_at``.
 """
 
 import numpy as np
@@ -29,10 +29,13 @@ from workers.results import BEYOND_STOP, InvalidError
 
 
 def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
-    """Return a motion that starts at a physical section state (2n,), displacements x and then velocities v.
+    """Return a motion that starts at a state (2n,) at a section: displacements x, then velocities v.
 
-    The state decides the mode: on a stop with v = 0 the mass sticks or is about to leave. Raise InvalidError if the
-    state is beyond a stop.
+    vectors  number of tangent vectors to carry
+    record   number of impacts to record
+
+    A section is an instant of fixed phase of the force. The state decides the mode (set of linear equations): on a stop
+    with v = 0 the mass sticks or is about to leave. Raise InvalidError if the state is beyond a stop.
     """
     h = np.zeros((len(oscillator.gap_row), 2))
     mode = start_at(oscillator, np.asarray(state, dtype=np.float64), h)
@@ -43,9 +46,9 @@ def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int
 
 @external(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
 def start_hybrid(oscillator, state, h):
-    """Write block coordinates h (n, 2) of a physical section state (2n,) of a machine with modes, and return its mode.
+    """Convert a physical state to a state h (n, 2) of the decoupled equations of motion, and return its mode's number.
 
-    This is ``start_at`` for such machines. A mode is one set of linear equations between two events.
+    This is ``start_at`` for machines with modes: sets of linear equations, each valid between two events.
     """
     state, h = by_value(state), by_value(h)
     enter_frame(oscillator.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
@@ -54,9 +57,11 @@ def start_hybrid(oscillator, state, h):
 
 @kernel
 def start_at(oscillator, state, h):
-    """Write block coordinates h (n, 2) of a physical section state (2n,) and return its mode, or BEYOND.
+    """Convert a physical state to a state h (n, 2) of the decoupled equations of motion, and return its mode's number.
 
-    The forced response is left out of h.
+    The physical state (2n,) has displacements, then velocities, at an instant of fixed phase of the force. Row j of h
+    is (h, h') of equation j, without the forced response. The mode is the set of linear equations that holds next. The
+    number is BEYOND if the state is beyond a stop.
     """
     if has_modes(oscillator):
         return start_hybrid(oscillator, state, h)
@@ -87,7 +92,11 @@ def start_at(oscillator, state, h):
 
 @inline_always
 def mode_at_rest(oscillator, side, h, turn):
-    """Return the number of the mode of a state that is on a stop with v = 0.
+    """Return the number of the mode of a motion that is on a stop with v = 0.
+
+    side  side of the stop, +-1
+    h     (n, 2) state of the decoupled equations
+    turn  (H, 2) sine and cosine of the harmonics of the force, see state.harmonics_at
 
     The mode, the set of equations that holds next, is sticking if the load presses, else the mass is about to leave.
     """
@@ -99,20 +108,21 @@ def mode_at_rest(oscillator, side, h, turn):
 
 @inline_always
 def side_of(y, error, upper, lower):
-    """Return the side of the stop that y is on, within its rounding ``error`` on either side of the stop; else 0."""
+    """Return the side, +-1, of the stop on which the gap coordinate y is, up to its rounding ``error``; else 0."""
     on_lower = -1 if abs(y - lower) <= error else 0
     return 1 if abs(y - upper) <= error else on_lower
 
 
 @kernel
 def put_on_stop(row, stop, x):
-    """Set one coordinate of x so that g . x = ``stop``, the coordinate with the largest weight in the gap row g.
+    """Set one coordinate of a state x, in place, so that the gap coordinate g . x is exactly on a stop.
 
-    row  (n,)          gap row g
+    row  (n,)          row g
+    stop               position of the stop
     x    (n or more,)  a state, of which only the first n numbers count
 
-    g . x then equals the stop to rounding, see ROW_ROUNDING. It equals the stop exactly if it is one coordinate with
-    weight +-1.
+    The coordinate is the one with the largest weight in g. g . x then equals the stop to rounding, see ROW_ROUNDING. It
+    equals the stop exactly if it is one coordinate with weight +-1.
     """
     k, others = 0, 0.0
     for i in range(len(row)):
@@ -126,9 +136,10 @@ def put_on_stop(row, stop, x):
 
 @external(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
 def leave_hybrid(oscillator, h, mode, state):
-    """Add the physical state of block coordinates h (n, 2) to a state (2n,) of zeros, for a machine with modes.
+    """Convert a state h (n, 2) of the decoupled equations to a physical one; add it to ``state`` (2n,), which is zero.
 
-    This is ``leave_blocks`` for such machines.
+    This is ``leave_blocks`` for machines with modes. ``mode`` is the number of the mode, the set of linear equations
+    that holds.
     """
     h, state = by_value(h), by_value(state)
     leave_frame(oscillator.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
@@ -137,9 +148,10 @@ def leave_hybrid(oscillator, h, mode, state):
 
 @kernel
 def leave_blocks(oscillator, h, mode, state):
-    """Add the physical state of block coordinates h (n, 2) in a mode to a state (2n,) of zeros.
+    """Convert a state h (n, 2) of the decoupled equations to a physical one: add it to ``state`` (2n,), which is zero.
 
-    See ``blocks_to_physical``.
+    The result has displacements, then velocities. ``mode`` is the number of the mode, the set of linear equations that
+    holds. A sticking mass is put on its stop exactly, see ``blocks_to_physical``.
     """
     if has_modes(oscillator):
         leave_hybrid(oscillator, h, mode, state)
@@ -174,9 +186,10 @@ def leave_blocks(oscillator, h, mode, state):
 
 @kernel
 def blocks_to_physical(oscillator, motion):
-    """Return the physical section state (2n,) of a motion; a sticking mass is exactly on the stop with v = 0.
+    """Return the state (2n,) of a motion at a section: displacements, then velocities.
 
-    A motion is never beyond a stop: overshoot by rounding is removed.
+    A section is an instant of fixed phase of the force. A sticking mass is exactly on the stop with v = 0. A motion is
+    never beyond a stop: overshoot by rounding is removed.
     """
     state = np.zeros(2 * motion.h.shape[0])
     leave_blocks(oscillator, motion.h, motion.mode[0], state)

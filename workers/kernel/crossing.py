@@ -1,9 +1,9 @@
-"""The certified search for the next crossing of a stop by a free flight, without sampling in time.
+"""The certified search for the next time at which a motion in free flight reaches a stop, without sampling in time.
 
 The step rule uses a bound K on the curvature toward a stop. A point at gap g that approaches at speed v cannot arrive
-before g = v s + K s^2 / 2. The bounds on the second and third derivative of the signal hold for all later times. A
-march of such steps therefore cannot jump over an impact, however short. Bounds of a growing motion hold until its size
-may have doubled, and are then computed again.
+before g = v s + K s^2 / 2. The bounds on the second and third derivative of the gap coordinate hold for all later
+times. A march of such steps therefore cannot jump over an impact, however short. Bounds of a growing motion hold until
+its size may have doubled, and are then computed again.
 """
 
 import math
@@ -45,9 +45,13 @@ TINY = 1e-300
 
 @inlined
 def arrival(g, v, K):
-    """Return the first s > 0 with g = v s + K s^2 / 2 for g >= 0, infinity if there is none.
+    """Return the earliest time at which a gap can close: the first s > 0 with g = v s + K s^2 / 2.
 
-    No arrival is earlier.
+    g >= 0  the gap
+    v       speed at which it closes
+    K       bound of the acceleration at which it closes
+
+    The result is infinity if the gap cannot close.
     """
     D = fma(v, v, 2.0 * K * g)
     r = math.sqrt(max(D, 0.0))
@@ -60,7 +64,10 @@ def arrival(g, v, K):
 
 @inlined
 def curvature(a, j3, M2, M3, M4, h):
-    """Return K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h, from the bounds M2, M3, M4.
+    """Return a bound K(h) of the curvature of a signal y: y(s) - y(0) <= v s + K s^2 / 2 for all s <= h.
+
+    a, j3       second and third derivative of y at s = 0
+    M2, M3, M4  bounds of the moduli of the second to fourth derivative
 
     K is the least of three bounds.
 
@@ -73,9 +80,10 @@ def curvature(a, j3, M2, M3, M4, h):
 
 @inlined
 def stays_open(g, v, K, h):
-    """Return True if v s + K s^2 / 2 stays below g >= 0 for all s <= h.
+    """Return True if a gap g >= 0 stays open for all times s <= h, that is if v s + K s^2 / 2 < g.
 
-    The bound is checked at h and at an earlier peak.
+    v is the speed at which the gap closes, K a bound of its acceleration. The inequality is checked at h and at an
+    earlier peak.
     """
     end = fma(0.5 * K, h, v) * h < g
     peaks = K < 0.0 and fma(K, h, v) < 0.0
@@ -84,7 +92,10 @@ def stays_open(g, v, K, h):
 
 @inlined
 def bracket(g, v, a, j3, M2, M3, M4, H):
-    """Return (L, U), times <= H: a gap g with closing speed v, acceleration a and jerk j3 does not close before L.
+    """Return two times L <= U, at most H. A gap certainly stays open before L; the longest certified time is at most U.
+
+    g, v, a, j3  the gap, and the speed, acceleration and jerk at which it closes
+    M2, M3, M4   bounds of the moduli of its second to fourth derivative
 
     The gap cannot close before min(h, s(h)), where s(h) is the arrival under the curvature bound K(h). Since s falls
     with h, L = min(h, s(h)) of any h is certified and U = s(L) is a limit. The best h lies between both.
@@ -96,7 +107,10 @@ def bracket(g, v, a, j3, M2, M3, M4, H):
 
 @inlined
 def close_in(L, U, g, v, a, j3, M2, M3, M4, trials):
-    """Return the longest of ``trials`` times between L and U before which the gap certainly stays open, at least L."""
+    """Return a time from L to U for which a gap certainly stays open, the longest found in ``trials`` bisections.
+
+    L is certified already, and is returned if no longer time is. For the other arguments see ``bracket``.
+    """
     h = math.sqrt(L * U)  # at a graze L and U can differ by orders of magnitude
     for _ in range(trials):
         free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
@@ -107,14 +121,20 @@ def close_in(L, U, g, v, a, j3, M2, M3, M4, trials):
 
 @inlined
 def safe_step(g, v, a, j3, M2, M3, M4, H):
-    """Return a time <= H in which a gap g with closing speed v, acceleration a and jerk j3 certainly does not close."""
+    """Return a time <= H for which a gap g certainly stays open.
+
+    The gap closes at speed v, acceleration a and jerk j3. For the bounds M2, M3 and M4 see ``bracket``.
+    """
     L, U = bracket(g, v, a, j3, M2, M3, M4, H)
     return close_in(L, U, g, v, a, j3, M2, M3, M4, TRIALS)
 
 
 @inlined
 def safe_retreat(g, v, a, j3, M2, M3, M4, H):
-    """Return ``safe_step`` of an opening gap, v <= 0, with less effort: such a gap seldom limits a step."""
+    """Return a time <= H for which an opening gap, v <= 0, certainly stays open: ``safe_step`` with less effort.
+
+    Such a gap seldom limits a step.
+    """
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
     return close_in(L, H, g, v, a, j3, M2, M3, M4, TRIALS) if L < H else H
 
@@ -122,6 +142,10 @@ def safe_retreat(g, v, a, j3, M2, M3, M4, H):
 @inlined
 def landing(g, v, a, j3, M3, M4, tol):
     """Return the time at which a gap g certainly closes; infinity if the time is not certain.
+
+    v, a, j3  speed, acceleration and jerk at which the gap closes
+    M3, M4    bounds of the moduli of its third and fourth derivative
+    tol       tolerated error of the gap
 
     The time is certain if the cubic is exact to ``tol`` and v stays positive until then. The time is the root of
 
@@ -145,7 +169,10 @@ def landing(g, v, a, j3, M3, M4, tol):
 
 @inlined
 def certain_crossing(g, v, a, j3, M3, M4, tol, H):
-    """Return the time <= H after which a gap g, closing at v, has certainly just closed; infinity if none is known."""
+    """Return the time <= H after which a closing gap g has certainly just closed; infinity if no time is certain.
+
+    A gap of at most ``tol`` has closed at time 0. For the arguments see ``landing``.
+    """
     s = landing(max(g, 0.0), v, a, j3, M3, M4, tol)
     s = 0.0 if g <= tol and v > 0.0 else s
     return s if s <= H else np.inf
@@ -153,11 +180,16 @@ def certain_crossing(g, v, a, j3, M3, M4, tol, H):
 
 @inline_always
 def _first_step(order, side, a, j3, M3, M4, tol):
-    """Return a time in which a start on stop ``side`` with v = 0 certainly leaves the stop.
+    """Return a time for which a motion that starts on a stop with v = 0 certainly stays off the stop.
+
+    order   order of the first nonzero derivative of y at the start, see ``next_crossing``
+    side    side of the stop, +-1
+    a, j3   second and third derivative of y at the start
+    M3, M4  bounds of the moduli of the third and fourth derivative
 
     The time is 3|a|/M3, or 4|j3|/M4 if a = 0 too. If the jerk points inward as well, it is the longer of both, since a
     may be zero up to rounding. If a and j3 are negligible beside M4, it is the time s with M4 s^4 = 24 tol. Until then
-    the guard stays within ``tol`` of the stop.
+    y stays within ``tol`` of the stop.
     """
     hidden = math.sqrt(math.sqrt(24.0 * tol / max(M4, TINY)))
     if order == UNCLEAR and abs(j3) <= M4 * hidden and abs(a) <= M4 * hidden * hidden:
@@ -171,15 +203,16 @@ def _first_step(order, side, a, j3, M3, M4, tol):
 
 @kernel
 def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
-    """Find the first time in [0, H] when the guard plus offset reaches ``upper`` from below or ``lower`` from above.
+    """Find the first time in [0, H] when a signal plus ``offset`` reaches ``upper`` from below or ``lower`` from above.
 
-    h       (n, 2)  block state at the start
+    mode            GuardedFlow: linear equations of motion in n decoupled blocks, and the signal, called their guard
+    h       (n, 2)  block state at the start, (h, h') of each equation
     phase           forcing phase at the start
-    start           0 if the start is inside; +-k at ``upper`` or ``lower``, if the k-th derivative of the guard is the
+    start           0 if the start is inside; +-k at ``upper`` or ``lower``, if the k-th derivative of the signal is the
                     first nonzero one: 1 after a rebound, 2 with v = 0, 3 after a release; UNCLEAR if rounding hides k
     scratch (n, 2)  overwritten
 
-    Return (time, side, evaluations). The side is +1 or -1; 0 if nothing is reached, with time H; 2 if the march needed
+    Return (time, side, evaluations). The side is +1 or -1; 0 if nothing is reached, with time H; 2 if the search needed
     more than MAX_EVALUATIONS.
     """
     h, scratch = borrow(h), borrow(scratch)

@@ -45,7 +45,7 @@ SINC = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(13, 1, -2))
 
 @inlined
 def exp_minus(x):
-    """Return exp(-x) for x >= 0 as 2^-k e^r, k the integer nearest to x / ln 2; 0 for x >= 708."""
+    """Return exp(-x) for x >= 0, computed as 2^-k e^r with k the integer nearest to x / ln 2; 0 for x > 708."""
     reduced = min(x, _LARGEST_EXPONENT)
     shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # its last bits, below the exponent, are k
     k = shifted - _TO_INTEGER
@@ -82,7 +82,10 @@ def log(x):
 
 @inlined
 def sin_cos(x):
-    """Return (sin x, cos x) for |x| <= 3e7 (oscillator.LARGEST_ANGLE), from r = x - k pi / 2, |r| <= pi / 4."""
+    """Return (sin x, cos x) for |x| <= 3e7, the limit oscillator.LARGEST_ANGLE.
+
+    Both are computed from r = x - k pi / 2 with |r| <= pi / 4.
+    """
     k = fma(x, _TWO_OVER_PI, _TO_INTEGER) - _TO_INTEGER
     r = fma(-k, _PI2_LOW, fma(-k, _PI2_MIDDLE, fma(-k, _PI2_HIGH, x)))
     z = r * r

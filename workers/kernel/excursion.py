@@ -1,6 +1,6 @@
 """The least and the greatest value of the gap coordinate in a free flight, from its turning points.
 
-The velocity y' is a guard like y, so the certified search for crossings finds its zeros. No turning point is missed.
+The velocity y' is a signal like y, so the certified search for crossings finds its zeros. No turning point is missed.
 """
 
 import math
@@ -17,9 +17,10 @@ from workers.model.oscillator import COLUMN, NUMBER, GuardedFlow
 
 @inline_always
 def velocity_of(gap):
-    """Return the free flight with guard y', and the offset that a constant load adds to the guard.
+    """Return a free flight whose signal is the velocity y' in place of the gap coordinate y, and its offset.
 
-    The rows of the guard are cA and cA^2; a load adds c1 load. The forced part Y' has amplitudes
+    The offset is what a constant load adds to y': c1 load for each block (decoupled equation). The rows of the new
+    signal are cA and cA^2, where c is the row of y and A the matrix of the flight. The forced part Y' has amplitudes
 
         sin_part' = -k omega cos_part,  cos_part' = k omega sin_part.
     """
@@ -44,10 +45,14 @@ def velocity_of(gap):
 
 @inline_always
 def next_turn(velocity, offset, h, phase, falls, signal_starts, remaining, scratch):
-    """Return (time, side, evaluations) of the next turning point within ``remaining``, as ``next_crossing`` does.
+    """Return (time, side, evaluations) of the next turning point of y within ``remaining``, as ``next_crossing`` does.
 
-    The motion starts at block state h (n, 2), falling or rising; h is moved to the turning point or to the end. The
-    zero of y' is a stop of the signal y': the upper stop if y falls, the lower if y rises.
+    velocity, offset  flight whose signal is y', and what is added to the signal, see ``velocity_of``
+    h (n, 2)          state of the decoupled equations at the start; moved to the turning point, or to the end
+    falls             True if y falls at the start, else y rises
+    signal_starts     argument ``start`` of ``next_crossing``
+
+    The zero of y' is a stop of the signal y': the upper stop if y falls, the lower if y rises.
     """
     upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
     signal = by_reference(velocity)
@@ -58,12 +63,15 @@ def next_turn(velocity, offset, h, phase, falls, signal_starts, remaining, scrat
 
 @inline_always
 def turning_points(gap, state, phase, duration, start, low, high, allowance):
-    """Return (low, high) widened by y - y0 at every turning point of a flight of this duration from block state (n, 2).
+    """Return (low, high) widened to include y - y0 at every turning point of a flight, and the number of evaluations.
 
-    start      as in ``next_crossing``, for y
-    allowance  maximum number of evaluations
+    gap              free flight with the gap coordinate y - y0 as its signal
+    state (n, 2)     block state at the start, (h, h') of each decoupled equation
+    phase, duration  forcing phase at the start, and duration of the flight
+    start            as in ``next_crossing``, for y
+    allowance        maximum number of evaluations
 
-    The number of evaluations is returned too. ``high`` is NaN if the search gave up or exceeded ``allowance``.
+    ``high`` is NaN if the search gave up or exceeded ``allowance``.
     """
     velocity, offset = velocity_of(gap)
     h, scratch = state.copy(), np.empty(state.shape)

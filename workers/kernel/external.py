@@ -1,8 +1,8 @@
-"""Functions compiled once and called by symbol, instead of being compiled again into each caller.
+"""Functions compiled once and called through a pointer, instead of being compiled again into each calling kernel.
 
-A function has one signature and is linked by its name. A cached kernel looks the name up while it is loaded; the name
-is that of a pointer to the function. Functions that only machines with modes need are compiled when a kernel first
-receives such a machine; until then their pointers are null.
+Such a function has one signature. Its pointer is linked by its name, the symbol, which a cached kernel looks up while
+it is loaded. Some functions are only for machines whose law of motion changes by more than one rigid contact. They are
+compiled when a kernel first receives such a machine; until then their pointers are null.
 """
 
 import ctypes
@@ -33,9 +33,10 @@ _loading, _compiles = threading.RLock(), False
 
 
 def load(modes: bool = False) -> None:
-    """Compile or load the functions that are not yet compiled, in the order of their definition.
+    """Compile the functions called by symbol that are not compiled yet, or load them from the cache on disk.
 
-    With ``modes`` include the functions that only kernels of machines with modes call.
+    They are compiled in the order of their definition. With ``modes`` functions for machines whose law of motion
+    changes by more than one rigid contact are included.
     """
     global _compiles
     if not _waiting[False] and not (modes and _waiting[True]):
@@ -56,11 +57,11 @@ def load(modes: bool = False) -> None:
 def external(
     *kinds: types.Type, result: types.Type = types.void, modes: bool = False
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Return the decorator of a function of these argument types that kernels call by symbol.
+    """Return a decorator that makes a function callable by symbol: kernels call it through a pointer with its name.
 
     kinds   types of the arguments
     result  type of the result, a number
-    modes   whether only kernels of machines with modes call the function
+    modes   True if the function is only for machines whose law changes by more than one rigid contact
 
     Arrays and records are passed by reference, see ``by_reference.py``. The function uses fields of records directly,
     and arrays through ``by_value``.
@@ -69,7 +70,7 @@ def external(
 
 
 class ExternalFunction:
-    """A function that kernels call by symbol, see ``external``.
+    """A function that kernels call through a pointer linked by the function's name, see ``external``.
 
     A call from Python compiles the function as a kernel (tests only).
     """
@@ -94,7 +95,7 @@ class ExternalFunction:
         return self.alone(*arguments)
 
     def compile(self) -> None:
-        """Compile the function, or load it from the cache, and set its pointer."""
+        """Compile the function, or load it from the cache, and store its address in the pointer that kernels read."""
         with in_own_folder(), not_unrolled():
             self.compiled = cfunc(self.result(*self.reference_types), cache=CACHE is not None, error_model="numpy")(
                 self.function

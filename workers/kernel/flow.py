@@ -1,4 +1,7 @@
-"""Free flight of the blocks, h'' + 2 eta h' + lam h = load, in closed form: underdamped, overdamped, rigid, growing."""
+"""Free flight in closed form, for decoupled equations h'' + 2 eta h' + lam h = load, called blocks.
+
+A block may be underdamped, overdamped, without stiffness (rigid), or growing.
+"""
 
 import math
 
@@ -14,7 +17,10 @@ FALL = tuple(1.0 / math.factorial(k) for k in range(17, 1, -1))
 
 @inlined
 def oscillating_flow(s, eta, lam, w, inv_w):
-    """Return (f11, f12, f21, f22), which advance (h, h') of an underdamped block by a time s, see ``flow_entries``."""
+    """Return (f11, f12, f21, f22), the matrix that takes (h, h') of an underdamped block over a time s.
+
+    For the arguments see ``flow_entries``.
+    """
     decay = exp_minus(eta * s)
     sin, cos = sin_cos(w * s)
     S = sin * inv_w
@@ -24,9 +30,9 @@ def oscillating_flow(s, eta, lam, w, inv_w):
 
 @inlined
 def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
-    """Return (f11, f12, f21, f22), the flow (h, h') -> f (h, h') of h'' + 2 eta h' + lam h = 0 over s.
+    """Return (f11, f12, f21, f22), the matrix f that takes (h, h') over a time s by h'' + 2 eta h' + lam h = 0.
 
-    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S), with d = lam - eta^2 and w = sqrt|d|.
+    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S), with d = lam - eta^2, w = sqrt|d| and inv_w = 1 / w.
 
     d > 0         C = cos(w s), S = sin(w s) / w
     d s^2 small   C and S by their series in d s^2
@@ -56,9 +62,9 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
 
 @kernel
 def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
-    """Return (f11, f12, f21, f22), which advance (h, h') of a growing block by a time s, see ``flow_entries``.
+    """Return (f11, f12, f21, f22), the matrix that takes (h, h') of a growing block over a time s.
 
-    A block grows if eta or lam is negative; then slow < 0.
+    A block grows if eta or lam is negative; then slow < 0. For the arguments see ``flow_entries``.
     """
     x = d * s * s
     if x > -0.1:
@@ -78,7 +84,7 @@ def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
 
 @inlined
 def block_flow(block, s):
-    """Return the four numbers (f11, f12, f21, f22) that advance (h, h') of one block by a time s.
+    """Return (f11, f12, f21, f22), the matrix that takes (h, h') of one block over a time s.
 
     A block, one decoupled equation of motion, is a row of GuardedFlow.blocks. See ``flow_entries``.
     """
@@ -92,9 +98,10 @@ def block_flow(block, s):
 
 @inlined
 def fall(s, eta):
-    """Return the displacement of a rigid mode of vibration after s under a unit load, from zero state.
+    """Return the displacement after a time s, under a unit load from zero state, of a rigid mode of vibration.
 
-    The displacement is s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s.
+    The mode has no stiffness, and the damping rate eta >= 0. The displacement is s^2 (x - 1 + e^-x) / x^2 with x = 2
+    eta s.
     """
     x = 2.0 * eta * s
     p = horner(FALL, -x)
@@ -104,14 +111,14 @@ def fall(s, eta):
 
 @kernel
 def rise(s, eta):
-    """Return the displacement of a rigid mode of vibration after s under a unit load, from zero state, for eta < 0."""
+    """Return ``fall`` for eta < 0: the displacement after s, under a unit load, of a rigid mode of vibration."""
     x = 2.0 * eta * s
     return fall(s, eta) if x > -1.0 else s * s * (((x - 1.0) + exp(-x)) / (x * x))
 
 
 @inlined
 def moved_by_load(s, eta):
-    """Return the displacement of a rigid mode of vibration after s under a unit load, from zero state, for any eta."""
+    """Return ``fall`` for any eta: the displacement after s, under a unit load, of a rigid mode of vibration."""
     if eta < 0.0:
         return rise(s, eta)
     return fall(s, eta)
@@ -119,7 +126,7 @@ def moved_by_load(s, eta):
 
 @kernel
 def flow(block, s, h):
-    """Advance the block state h (n, 2) by s, in place."""
+    """Advance the block state h (n, 2), rows (h, h') of the decoupled equations ``block``, by a time s, in place."""
     block, h = borrow(block), borrow(h)
     for j in range(len(block)):
         flow_block(block[j], s, h[j])
@@ -127,7 +134,10 @@ def flow(block, s, h):
 
 @inlined
 def flow_block(block, s, h):
-    """Advance the state h (2,) of one block by s, in place, and return its ``flow_entries``."""
+    """Advance the state h (2,) = (h, h') of one decoupled equation by a time s, in place.
+
+    Return the matrix of the flow, see ``flow_entries``.
+    """
     f11, f12, f21, f22 = block_flow(block, s)
     h0, h1, load = h[0], h[1], block[COLUMN.load]
     h[0], h[1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
@@ -138,7 +148,7 @@ def flow_block(block, s, h):
 
 @inlined
 def flow_vectors(V, j, f11, f12, f21, f22):
-    """Advance block j of tangent vectors V (m, n, 2) by a flow, see ``flow_entries``, in place."""
+    """Multiply the parts of tangent vectors V (m, n, 2) in decoupled equation j by a matrix f (2, 2), in place."""
     for i in range(V.shape[0]):
         v0, v1 = V[i, j, 0], V[i, j, 1]
         V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
@@ -146,7 +156,10 @@ def flow_vectors(V, j, f11, f12, f21, f22):
 
 @kernel
 def flow_with_tangent(block, s, h, V):
-    """Advance the block state h (n, 2) and the tangent vectors V (m, n, 2) by s, in place."""
+    """Advance the block state h (n, 2) and the tangent vectors V (m, n, 2) by a time s, in place.
+
+    The rows of h are (h, h') of the decoupled equations ``block``.
+    """
     block, h, V = borrow(block), borrow(h), borrow(V)
     for j in range(len(block)):
         f11, f12, f21, f22 = flow_block(block[j], s, h[j])
@@ -155,7 +168,10 @@ def flow_with_tangent(block, s, h, V):
 
 @kernel
 def guard_of(blocks, h):
-    """Return the value c . h of the guard, the signal that ends a mode, at a block state h (n, 2)."""
+    """Return the value c . h of a guard, a signal that can end the present law of motion.
+
+    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` holds c in its columns.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.c1], h[j, 1], fma(blocks[j, COLUMN.c0], h[j, 0], total))
@@ -164,7 +180,10 @@ def guard_of(blocks, h):
 
 @kernel
 def guard_rate_of(blocks, h):
-    """Return the rate cA . h of the guard, the signal that ends a mode, at a block state h (n, 2)."""
+    """Return the rate of change cA . h of a guard, a signal that can end the present law of motion.
+
+    h (n, 2) is the state of the decoupled equations of motion, and ``blocks`` holds cA in its columns.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.cA1], h[j, 1], fma(blocks[j, COLUMN.cA0], h[j, 0], total))

@@ -3,9 +3,9 @@
 The compiler neither reorders operations nor fuses them; products to be fused are written with ``fma.py``. The bits of a
 result therefore depend neither on the order of compilation or loading nor on the processor.
 
-Loops of unknown length are not unrolled, see ``unrolling.py``. Most of these loops run over a few coordinates, blocks
-or harmonics. Unrolled loops took 155 s of processor time to compile instead of 109 s. They also made the periods of
-machines with modes 11 to 17 % slower.
+Loops of unknown length are not unrolled, see ``unrolling.py``. Most of these loops run over a few coordinates or
+harmonics. Unrolled loops took 155 s of processor time to compile instead of 109 s. They also made the simulation of
+machines with more than one rigid contact 11 to 17 % slower.
 """
 
 from collections.abc import Callable
@@ -32,10 +32,11 @@ _WITHIN: dict[bool, dict[str, Any]] = {False: {}, True: {"inline": "always"}}
 
 
 class Kernel:
-    """A compiled function that Python calls as a kernel of its own, and other kernels as an inner kernel.
+    """A function that is compiled twice: once for calls from Python, and once for calls from other compiled functions.
 
-    An inner kernel has no file in the cache and no entry for Python. That entry unpacks records of arrays and takes as
-    long to compile as the function itself. With ``within`` the inner kernel is compiled into its caller.
+    The second form, an inner kernel, has no file in the cache and no entry for Python. That entry unpacks records of
+    arrays and takes as long to compile as the function itself. With ``within`` the inner kernel is compiled into its
+    caller.
     """
 
     def __init__(self, function: Callable[..., Any], *, within: bool = False, **how: Any) -> None:
@@ -44,13 +45,13 @@ class Kernel:
 
     @cached_property
     def python_kernel(self) -> Any:
-        """The kernel that Python calls, made at first use: a process never calls most kernels that it imports."""
+        """The compiled function that Python calls, made at first use, since a process never calls most kernels."""
         with in_own_folder():
             return njit(cache=CACHE is not None, **self._how)(self.py_func)
 
     @cached_property
     def inner_kernel(self) -> Any:
-        """The kernel that other kernels call, made at first use while one of them is compiled."""
+        """The compiled function that other kernels call, made at first use while one of these kernels is compiled."""
         return njit(**(_PART | self._how), **_WITHIN[self._within])(self.py_func)
 
     @property
@@ -66,15 +67,15 @@ class Kernel:
 
 @typeof_impl.register(Kernel)
 def _(kernel: Kernel, context: Any) -> types.Dispatcher:
-    """Return the Numba type of a kernel within another kernel."""
+    """Return the Numba type of a Kernel that occurs as a name in another kernel."""
     load()
     return types.Dispatcher(kernel.inner_kernel)
 
 
 def named_constants(*kinds: Any) -> None:
-    """Make records of these kinds look like modules of named constants to kernels.
+    """Let kernels read the fields of these classes of named tuples as named constants, like those of a module.
 
-    If a record were a tuple, all its numbers would be compiled in wherever one of them is used.
+    If such a tuple were passed as a tuple, all its numbers would be compiled in wherever one of its numbers is used.
     """
 
     def module_of(record: Any, context: Any) -> types.Module:

@@ -30,7 +30,7 @@ def identity(size):
 
 @kernel
 def solution(matrix, right):
-    """Return x with matrix x = right, by elimination with pivots; overwrites both arguments.
+    """Return the solution x of matrix x = right, by Gaussian elimination with pivots; both arguments are overwritten.
 
     x is not finite if the matrix is singular.
     """
@@ -57,7 +57,7 @@ def solution(matrix, right):
 
 @inline_always
 def balance(A):
-    """Scale the coordinates until rows and columns of A are of like size: a similarity, in place."""
+    """Scale the coordinates until rows and columns of A are of like size, a similarity transformation, in place."""
     size = len(A)
     for _ in range(10):
         settled = True
@@ -79,7 +79,7 @@ def balance(A):
 
 @inline_always
 def to_hessenberg(A):
-    """Make A zero below its subdiagonal by eliminations with pivots: a similarity, in place."""
+    """Make A zero below its subdiagonal by eliminations with pivots, a similarity transformation, in place."""
     size = len(A)
     for m in range(1, size - 1):
         pivot = m
@@ -125,7 +125,11 @@ def over(z, real):
 
 @inlined
 def couples(below, before, after):
-    """Return True if an entry below the diagonal exceeds the rounding of its two diagonal neighbours."""
+    """Return True if an entry ``below`` the diagonal of a Hessenberg matrix exceeds the rounding of its neighbours.
+
+    The neighbours are ``before`` and ``after`` on the diagonal. If the entry does not exceed it, the eigenvalue problem
+    splits there.
+    """
     if max(abs(below.real), abs(below.imag)) < NOTHING:
         return False
     sides = abs(before.real) + abs(before.imag) + abs(after.real) + abs(after.imag)
@@ -136,7 +140,9 @@ def couples(below, before, after):
 
 @inline_always
 def rotate_once(H, cosines, sines, start, end, shift):
-    """Do one step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix.
+    """Do one shifted step of the QR method for eigenvalues, in place.
+
+    The step acts on rows and columns start...end - 1 of the complex Hessenberg matrix H.
 
     ``cosines`` and ``sines``, as long as the matrix, are overwritten.
     """
@@ -165,7 +171,7 @@ def rotate_once(H, cosines, sines, start, end, shift):
 
 @inline_always
 def exponent_of(matrix):
-    """Return the exponent of the power of two next to the largest entry of a matrix; 0 for a matrix of zeros."""
+    """Return the least integer k with all |entries| of a matrix below 2^k; 0 for a matrix of zeros."""
     largest = 0.0
     for row in matrix:
         for entry in row:
@@ -175,9 +181,10 @@ def exponent_of(matrix):
 
 @external(FLOATS[2], FLOATS[1])
 def fill_moduli(matrix, sizes):
-    """Write the |eigenvalues| of a real matrix, by the QR method with shifts; infinity if it is not finite.
+    """Write the moduli of the eigenvalues of a real matrix to ``sizes``; infinity if the matrix is not finite.
 
-    Entries are scaled to about one, where no product of two significant entries underflows.
+    The QR method with shifts finds them. Entries are scaled to about one, where no product of two significant entries
+    underflows.
     """
     matrix, sizes = by_value(matrix), by_value(sizes)
     size = len(matrix)
@@ -222,7 +229,7 @@ def fill_moduli(matrix, sizes):
 
 @inline_always
 def moduli(matrix):
-    """Return the |eigenvalues| of a real matrix, in any order; infinity if it is not finite."""
+    """Return the moduli of the eigenvalues of a real matrix, in any order; infinity if the matrix is not finite."""
     sizes = np.empty(len(matrix))
     fill_moduli(matrix, sizes)
     return sizes
@@ -230,7 +237,7 @@ def moduli(matrix):
 
 @external(FLOATS[2], result=types.float64)
 def spectral_radius(matrix):
-    """Return the largest |eigenvalue| of a real matrix; infinity if it is not finite."""
+    """Return the largest modulus of an eigenvalue of a real matrix; infinity if the matrix is not finite."""
     matrix = by_value(matrix)
     return highest(moduli(matrix), 0, len(matrix))
 
@@ -247,7 +254,7 @@ def highest(values, start, end):
 
 @inline_always
 def sort_down(values):
-    """Sort from the largest to the smallest, in place."""
+    """Sort an array of numbers from the largest to the smallest, in place."""
     for i in range(1, len(values)):
         value, k = values[i], i
         while k > 0 and values[k - 1] < value:

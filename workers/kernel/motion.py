@@ -1,4 +1,4 @@
-"""The record of a motion in kernels, with its counts and status codes."""
+"""The record of a motion in kernels: its state, its tangent vectors, its counts, and status codes."""
 
 from typing import Any, NamedTuple
 
@@ -83,16 +83,16 @@ step."""
 
 
 class Motion(NamedTuple):
-    """State of the motion of one cell, changed in place by ``advance``; a batch has one more leading axis per field.
+    """State of the motion of one cell, changed in place by ``advance``. A batch has one more leading axis per field.
 
-    h        (n, 2)     block coordinates without the forced response
+    h        (n, 2)     block state, (h, h') of each decoupled equation of motion, without the forced response
     mode     (1,)       number of the mode, a set of equations, see hybrid_modes.ModeCode and FLIGHT; or BEYOND
     V        (m, n, 2)  tangent vectors; m = 0 if none are followed
     growth   (m,)       log of the growth removed from each vector so far
     triangle (m, m)     factors of tangent.orthonormalise; (0, 0) if not wanted
     tally    (TALLIES,) counts, see UPPER
-    impacts  (K, 3)     the first K impacts: time after the section, side, and speed before the impact, which is 0 where
-                        sticking begins, see write_down_rest; K = 0 if none are recorded
+    impacts  (K, 3)     the first K impacts: time since the start of the period, side, and speed before the impact;
+                        speed 0 where sticking begins, see write_down_rest; K = 0 if none are recorded
     extremes (2,)       the least and the greatest y - y0 so far; (0,) if not wanted
     scratch  (n, 2)     overwritten
     """
@@ -109,7 +109,10 @@ class Motion(NamedTuple):
 
 
 def record_type(kind: type, *fields: int | types.Type) -> types.NamedTuple:
-    """Return the type of a record in kernels; an integer stands for a float64 array with that number of axes."""
+    """Return the Numba type of a record, a named tuple of class ``kind``, from the types of its ``fields``.
+
+    An integer stands for a float64 array with that number of axes.
+    """
     return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
 
 
@@ -126,22 +129,28 @@ modes."""
 
 @typeof_impl.register(HybridMachines)
 def _(machines: HybridMachines, context: Any) -> types.Type:
-    """Hide from kernels the machines from which Python builds modes, and load the functions by symbol for modes."""
+    """Hide HybridMachines from kernels, where they are None.
+
+    From these machines Python builds sets of linear equations.
+
+    Also load the functions for machines whose law changes by more than one rigid contact.
+    """
     load(modes=True)
     return types.none
 
 
 @inline_always
 def has_modes(oscillator):
-    """Return True if a machine has modes, see Oscillator.has_modes."""
+    """Return True if the machine is one with modes: its law changes by more than one rigid contact."""
     return oscillator.table.codes.shape[0] > 0
 
 
 @inline_always
 def spend(tally, evaluations):
-    """Add evaluations, the unit in which work is counted, to the tally (counts) of a motion, in place.
+    """Subtract evaluations from the work that a motion may still do, and set its status if too much is spent.
 
-    Every leg, the motion between two events, costs at least one evaluation. No chain of legs is therefore endless.
+    ``tally`` (TALLIES,) has the counts of the motion and changes in place. Every leg, the motion between two events,
+    costs at least one evaluation. No chain of legs is therefore endless.
     """
     tally[EVALUATIONS] += evaluations
     tally[WORK] -= max(1, evaluations)
@@ -151,7 +160,10 @@ def spend(tally, evaluations):
 
 @inline_always
 def count_contact(tally, contacts, t, stop, speed):
-    """Count and record contact with a stop: the upper stop if ``stop`` > 0, else the lower stop."""
+    """Add a contact with a stop at time t to the counts ``tally`` of a motion, and to its records ``contacts`` (K, 3).
+
+    The contact is with an upper stop if ``stop`` > 0, else with a lower one. ``speed`` is the speed before it.
+    """
     tally[UPPER if stop > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
     tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
@@ -161,14 +173,24 @@ def count_contact(tally, contacts, t, stop, speed):
 
 @inline_always
 def write_down_rest(tally, contacts, t, stop, speed, chatter):
-    """Record the last impact before sticking and, with speed 0, the start of sticking after the remaining hops."""
+    """Record the last resolved impact on a stop before the mass sticks there, and the time at which it begins to stick.
+
+    tally, contacts  counts of the motion, and records of its contacts (K, 3)
+    t, stop, speed   time, stop and speed of the impact, as in ``write_down``
+    chatter          duration of the remaining hops
+
+    The second record has speed 0.
+    """
     write_down(tally, contacts, t, stop, speed)
     write_down(tally, contacts, t + max(chatter, 0.0), stop, 0.0)
 
 
 @inline_always
 def write_down(tally, contacts, t, stop, speed):
-    """Record contact with a stop while ``contacts`` (K, 3) has room."""
+    """Record time, stop and speed of a contact in the next row of ``contacts`` (K, 3), if there is room.
+
+    ``tally`` has the number of rows written so far.
+    """
     row = int(tally[RECORDED])
     if row < contacts.shape[0]:
         contacts[row, 0], contacts[row, 1], contacts[row, 2] = t, stop, speed
@@ -177,10 +199,14 @@ def write_down(tally, contacts, t, stop, speed):
 
 @kernel
 def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
-    """Return a motion that starts at block state h (n, 2) in this mode, with these tangent vectors; see Motion.
+    """Return a motion that starts at state h (n, 2) in the mode of this number, with these tangent vectors.
 
-    record   number of impacts to record
-    watched  whether to follow the extremes of the gap coordinate
+    V, growth, triangle  tangent vectors and their factors, see Motion
+    record               number of impacts to record
+    watched              whether to follow the extremes of the gap coordinate
+
+    The mode is the set of linear equations of motion that holds at the start, and h the state of its decoupled
+    equations.
     """
     tally = NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
@@ -193,13 +219,17 @@ def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
 
 @kernel
 def motion_alone(h, mode):
-    """Return a motion without tangent vectors that starts at block state h (n, 2) in the mode of this number."""
+    """Return a motion without tangent vectors that starts at state h (n, 2) in the mode of this number.
+
+    The mode is the set of linear equations of motion that holds at the start, and h the state of its decoupled
+    equations.
+    """
     return motion_with(h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
 
 
 @register_jitable
 def axes(n: int) -> NDArray[np.float64]:
-    """Return the 2n tangent vectors (2n, n, 2) along the block axes."""
+    """Return the unit vectors of coordinates of the decoupled equations as 2n tangent vectors (2n, n, 2)."""
     frame = np.zeros((2 * n, n, 2))
     for j in range(n):
         frame[2 * j, j, 0] = frame[2 * j + 1, j, 1] = 1.0
@@ -210,9 +240,9 @@ def axes(n: int) -> NDArray[np.float64]:
 def cosine_vectors(n):
     """Return 2n orthogonal tangent vectors (2n, n, 2): cos(pi (2i + 1) (2k + 1) / 8n), the cosine transform of type IV.
 
-    The first r vectors are independent in any r of the block axes (odd powers of r cosines, Vandermonde's determinant).
-    An axis vector, in contrast, has only its own block if blocks do not couple, and is lost where that block sticks on
-    a stop.
+    The first r vectors are independent in any r of the block coordinates (odd powers of r cosines, Vandermonde's
+    determinant). A unit vector, in contrast, stays in one block (one decoupled equation) if blocks do not couple. It is
+    lost where that block sticks on a stop.
     """
     frame = np.empty((2 * n, n, 2))
     for i in range(2 * n):
@@ -224,10 +254,12 @@ def cosine_vectors(n):
 def motions_at(
     h: NDArray[np.float64], mode: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
 ) -> Motion:
-    """Return motions that start at block states h (N, n, 2) in modes (N, 1), by default in flight.
+    """Return a batch of motions that start at states h (N, n, 2) of the decoupled equations, in these modes (N, 1).
 
-    vectors  number of tangent vectors, the first block axes
+    vectors  number of tangent vectors, the first unit vectors of the coordinates h
     record   number of impacts to record
+
+    Modes, the sets of linear equations that hold, are given by number. By default all motions start in free flight.
     """
     N, n = h.shape[:2]
     one = motion_at(np.zeros((n, 2)), FLIGHT, vectors, record)
@@ -236,7 +268,13 @@ def motions_at(
 
 
 def motion_at(h: NDArray[np.float64], mode: int = FLIGHT, vectors: int = 0, record: int = 0) -> Motion:
-    """Return a motion that starts at block state h (n, 2) in this mode; its tangent vectors are the block axes."""
+    """Return a motion that starts at state h (n, 2) of the decoupled equations, in the mode of this number.
+
+    vectors  number of tangent vectors, the first unit vectors of the coordinates h
+    record   number of impacts to record
+
+    The mode is the set of linear equations that holds, by default that of free flight.
+    """
     V, growth, triangle = axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0))
     motion: Motion = motion_with.py_func(h, mode, V, growth, triangle, record)
     return motion

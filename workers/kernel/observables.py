@@ -1,7 +1,8 @@
-"""Observables of motions of machines with modes, value by value: impacts, turning points, section values and losses.
+"""Observables of motions, value by value: impacts, turning points, states at a fixed forcing phase, and energy losses.
 
-Nothing is sampled. Impacts are events of the loop of ``hybrid/motion.py``. Turning points of an output are zeros of its
-rate, which the certified search finds, or impacts that reverse the output.
+They are for machines with modes, whose law changes by more than one rigid contact. Nothing is sampled. Impacts are
+events of the loop of ``hybrid/motion.py``. Turning points of an output are zeros of its rate, which the certified
+search finds, or impacts that reverse the output.
 """
 
 import math
@@ -33,11 +34,11 @@ LEAST_RISE = 1e-12
 
 
 class ObservableSelection(NamedTuple):
-    """Observables of machines.
+    """The M observables that are wanted of each machine.
 
-    kinds    (M,)  kind of each
-    contacts (M,)  contact, -1 for all
-    sides    (M,)  side of the contact, +-1, 0 for both
+    kinds    (M,)  kind of each observable, see SECTION_STATE
+    contacts (M,)  contact of each observable, -1 for all contacts
+    sides    (M,)  side of the contact's stop, +-1, 0 for both sides
     """
 
     kinds: Rows
@@ -46,7 +47,7 @@ class ObservableSelection(NamedTuple):
 
 
 class ObservedValues(NamedTuple):
-    """Values observed of N motions so far.
+    """Values observed of N motions so far, for M observables.
 
     values  (N, M, K)  the first K values of each observable, in the order of time
     counts  (N, M)     number of values
@@ -61,14 +62,16 @@ class ObservedValues(NamedTuple):
 
 
 class OutputHistory(NamedTuple):
-    """The recent history of an output, as columns.
+    """Columns of the recent history of an output, a measured displacement, velocity or acceleration.
 
-    heading  1 while rising, -1 while falling
+    heading  1 while the output rises, -1 while it falls
     value    the last value
-    size     the greatest sum of its terms, and of its possible change on a leg
-    turn     kind of the last turning point, confirmed by the next one: 1 for a maximum, -1 for a minimum, 0 for none or
-             one too early to count
+    size     the greatest sum of the moduli of its terms plus its possible change on a leg, the unit of its rounding
+    turn     kind of the last turning point, which the next one confirms: 1 for a maximum, -1 for a minimum, 0 for none
+             or one too early to count
     at       value at the last turning point
+
+    A leg is the motion between two events.
     """
 
     heading: int
@@ -84,7 +87,7 @@ named_constants(OutputHistory)
 
 @kernel
 def put(seen, m, value):
-    """Append a value to those of observable m in ``seen``, in place, if there is room, and count it."""
+    """Count a value of observable m and, if there is room, append it to the values in ``seen``, in place."""
     if seen.counts[m] < seen.values.shape[1]:
         seen.values[m, seen.counts[m]] = value
     seen.counts[m] += 1
@@ -92,7 +95,10 @@ def put(seen, m, value):
 
 @kernel
 def put_turn(seen, m, highest):
-    """Add the confirmed turning point if observable m wants its kind."""
+    """Append the last turning point of an output to the values of observable m in ``seen``, in place.
+
+    It is appended only if it is of the kind wanted, a maximum if ``highest``, else a minimum. Then it is forgotten.
+    """
     course = seen.course[m]
     if course[COURSE.turn] == (1.0 if highest else -1.0):
         put(seen, m, course[COURSE.at])
@@ -103,7 +109,12 @@ def put_turn(seen, m, highest):
 def head(seen, m, highest, direction, y, counts):
     """Record in ``seen`` that the output of observable m rises or falls from its value y on.
 
-    A turning point of rounding size does not count.
+    direction  sign of the change, 0 if the output is constant
+    highest    whether maxima are wanted, else minima
+    counts     whether the turning point, if there is one here, counts
+
+    If the direction changes, the point is a turning point, and the one before it is confirmed. A turning point of
+    rounding size does not count.
     """
     course = seen.course[m]
     if course[COURSE.heading] * direction < 0.0:
@@ -119,12 +130,16 @@ def head(seen, m, highest, direction, y, counts):
 
 @kernel
 def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begins, tally):
-    """Record the turning points of an output in a flight of duration s in mode k from h (n, 2).
+    """Record the turning points of the output of observable m in a flight of duration s in mode k, in ``seen``.
 
-    row, order  the output, see outputs.output_row
-    highest     whether maxima are wanted, else minima
-    start       time at the start of the flight
-    begins      time up to which turning points do not count
+    modes, k     table of modes (sets of linear equations), and the index of the mode in it
+    row, order   the output, see outputs.output_row
+    highest      whether maxima are wanted, else minima
+    h (n, 2)     block state at the start, (h, h') of each decoupled equation
+    start        time at the start of the flight
+    phase        forcing phase at the start
+    begins       time up to which turning points do not count
+    tally        counts of the motion, changed in place
     """
     full, direct = output_row(modes, k, row, order)
     mode, offset = mode_with(modes, k, full, direct)
@@ -159,11 +174,15 @@ def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begin
 
 @kernel
 def see_outputs(table, meter, selection, seen, leg, since, begins, flies, tally):
-    """Record the turning points of outputs on a leg, and their section values.
+    """Record turning points of outputs on one leg of a motion, and their values at t = k T, in ``seen``.
 
+    table   ModeTable of the machine
+    meter   MeasurePlan of the machine, with the outputs
+    leg     row of a LegRecord: the motion between two events
     since   time at the start of the period
     begins  time up to which turning points do not count
-    flies   whether the period counts for section values
+    flies   whether values at t = k T, the start of the period, count
+    tally   counts of the motion, changed in place
     """
     pieces, size, s, k = table.pieces, 2 * meter.rows.shape[1], leg[LEG.duration], int(leg[LEG.mode])
     t, harmonics = leg[LEG.start], table.pieces.waves.shape[2]
@@ -182,7 +201,11 @@ def see_outputs(table, meter, selection, seen, leg, since, begins, flies, tally)
 
 @kernel
 def see_impact(table, selection, seen, hit, since, begins):
-    """Record an impact (3,) of a period that begins at the time ``since``, see hybrid.motion.through_modes.
+    """Record phase and speed of an impact for the observables that want them, in ``seen``.
+
+    hit     (3,) time, contact and speed, see hybrid.motion.through_modes
+    since   time at the start of the period
+    begins  time up to which impacts do not count
 
     Speed 0 marks the start of sticking. If the contact bounces, infinitely many impacts precede it.
     """
@@ -202,7 +225,10 @@ def see_impact(table, selection, seen, hit, since, begins):
 
 @kernel
 def stored(table, meter, z, number):
-    """Return the energy in pushing soft contacts at a physical section state in the mode of this number."""
+    """Return the energy stored in the soft contacts that push, at a state z (2n,) in the mode of this number.
+
+    A mode is one set of linear equations, for given states of all contacts.
+    """
     elements, total = table.elements, 0.0
     states = np.zeros(len(elements.row), dtype=np.int64)
     read_number(elements, number, states, np.zeros(len(elements.friction_rows), dtype=np.int64))
@@ -220,7 +246,13 @@ def stored(table, meter, z, number):
 
 @kernel
 def loss_in(table, meter, legs, end, tally):
-    """Return the energy taken by contacts, friction and dampers on all legs (K, columns) up to the state ``end``."""
+    """Return the energy taken by contacts, friction and dampers on the legs of a period.
+
+    table, meter    ModeTable and MeasurePlan of the machine
+    legs            (K, columns) legs, the parts of the motion between two events, see LegRecord
+    end             (2n,) state at the end of the last leg
+    tally           counts of the motion, changed in place
+    """
     n, C, F, M = len(end) // 2, meter.contact_constants.shape[1], meter.friction_constants.shape[1], len(meter.orders)
     reading = MeasureTotals(
         np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M), np.zeros((C, 2)), np.zeros(C), np.zeros(C), np.zeros(C),
@@ -232,10 +264,14 @@ def loss_in(table, meter, legs, end, tally):
 
 @kernel
 def see_period(table, meter, selection, seen, z, code, tally, since, duration, begins, flies):
-    """Advance a motion by ``duration``, at most a period, and record its observables.
+    """Advance a motion by ``duration``, at most a period, and record its observables in ``seen``.
 
-    State z (2n,) and the number of its mode in code (1,) change in place; see ``see_outputs``. If a mode is missing,
-    the motion stays unchanged and nothing is recorded.
+    z (2n,)        displacements, then velocities; changed in place
+    code (1,)      number of the mode, the set of linear equations that holds; changed in place
+    flies          whether values at the start of the period and energy losses count
+
+    For the other arguments see ``see_outputs``. If a mode is not built yet, the motion stays unchanged and nothing is
+    recorded.
     """
     final, number, legs, hits = record_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
@@ -258,19 +294,23 @@ def see_period(table, meter, selection, seen, z, code, tally, since, duration, b
 def observe_motions(
     oscillators, meters, selection, seen, starts, states, codes, completed, periods, closes, allowance, cells
 ):
-    """Advance motions by their remaining periods, record observables, and return the status of each.
+    """Advance motions by their remaining periods, record observables, and return the status (N,) of each.
 
+    oscillators        batch of machines
+    meters             MeasurePlan of the machines
+    selection, seen    the observables, and their values, changed in place
     starts             states (N, 2n) and mode numbers (N, 1) from which the counted motion begins
-    states    (N, 2n)  physical states, changed in place
+    states    (N, 2n)  displacements, then velocities, changed in place
     codes     (N, 1)   numbers of their modes, changed in place
     completed (N,)     number of periods completed, of ``periods`` (N,); changed in place
     closes    (N,)     1 if the periods are one turn of an orbit, where events at the section count once
     allowance (N,)     number of evaluations allowed, changed in place
     cells              rows to advance, of machines with modes
 
-    A negative ``completed`` is a turn before the one that counts. That turn shows whether outputs rise or fall where
-    they are constant at the section. Then the motion begins again from ``starts``. A motion that misses a mode
-    continues at the next call.
+    A section is an instant of fixed phase of the force, and a mode a set of linear equations that holds between two
+    events. A negative ``completed`` is a turn before the one that counts. It shows whether outputs rise or fall where
+    they are constant at the section. Then the motion begins again from ``starts``. If a mode is not built yet, the
+    motion continues at the next call.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:

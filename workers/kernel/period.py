@@ -1,8 +1,8 @@
 """The stroboscopic map: ``advance`` takes one cell through one forcing period.
 
-The loop over legs is the only hot kernel. On each leg it solves the linear equations of one mode, finds the first
-event, and applies the jump there. The section is the instant of one fixed phase in each period. Between sections the
-phase runs from tau to tau + 2 pi; absolute time never enters.
+The loop over legs, the parts of a motion between two events, is the only hot kernel. On each leg it solves the linear
+equations of one mode, finds the first event, and applies the jump there. A section is the instant of one fixed phase of
+the force in each period. Between sections the phase runs from tau to tau + 2 pi; absolute time never enters.
 """
 
 import numpy as np
@@ -74,9 +74,13 @@ NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @inline_always
 def come_to_rest(blocks, cA2k, motion, v):
-    """End a chatter that began with an impact at velocity v.
+    """Let the mass come to rest on a stop at the end of a chatter, a sequence of ever lower hops.
 
-    Count the impact, remove v, and project the tangent vectors.
+    blocks, cA2k  constants of the flight's decoupled equations, see Block, and of the impact, see OscillatorScalars
+    motion        changed in place
+    v             velocity before the last impact that is resolved
+
+    The impact is counted, its velocity is removed, and the tangent vectors are projected, see ``rest_projection``.
     """
     tally = motion.tally
     tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(v))
@@ -87,11 +91,11 @@ def come_to_rest(blocks, cA2k, motion, v):
 
 @inline_always
 def leave_stop(oscillator, motion, phase, side, remaining, chatter):
-    """Advance a motion that sticks on a stop until its release, or for ``remaining``.
+    """Advance a motion whose mass rests on a stop, in place, until the mass is released, at most for ``remaining``.
 
     phase    forcing phase at the start
     side     side of the stop, +-1
-    chatter  first part of the time, which the mass spends hopping
+    chatter  first part of the time, which the mass still spends hopping
 
     Return the time spent, and True if the mass was released and the motion continues.
     """
@@ -117,7 +121,13 @@ def widen(extremes, y):
 
 @inline_always
 def watch_flight(gap, motion, phase, s, start, top, bottom):
-    """Add the turning points of a free flight of duration s to the motion's extremes.
+    """Widen the extremes of the gap coordinate y, in place, to include the turning points of a free flight.
+
+    gap          free flight with y as its signal
+    motion       state at the start of the flight; ``extremes`` and counts change
+    phase, s     forcing phase at the start, and duration
+    start        as in ``next_crossing``
+    top, bottom  the stops
 
     Only turning points beyond the range known so far are sought, with the ends of that range as stops.
     """
@@ -138,7 +148,10 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
 
 @external(RIGID, MOTION, types.float64)
 def through_impacts(oscillator, motion, duration):
-    """Advance a motion with one rigid contact in the loop of mode, first guard and reset map; see ``propagate``."""
+    """Advance a motion of a machine with one rigid contact by ``duration``, in place, through its impacts.
+
+    The loop finds the next impact, advances the state to it, and applies the jump of the velocity. See ``propagate``.
+    """
     gap, h, V, tally, scratch, impacts = (
         oscillator.gap,
         motion.h,
@@ -247,7 +260,8 @@ def through_impacts(oscillator, motion, duration):
 def propagate(oscillator, motion, duration):
     """Advance a motion from a section by ``duration`` <= one period, in place, through all its impacts.
 
-    The motion stops early, with tally[STATUS] set, if it cannot be completed. A motion beyond a stop ends at once.
+    A section is an instant of fixed phase of the force. The motion stops early, with tally[STATUS] set, if it cannot be
+    completed. A motion beyond a stop ends at once.
     """
     if has_modes(oscillator):
         through_events(oscillator, motion, duration)
@@ -257,15 +271,15 @@ def propagate(oscillator, motion, duration):
 
 @inline_always
 def advance(oscillator, motion):
-    """Apply the stroboscopic map P, one forcing period from section to section, in place; V becomes DP V."""
+    """Apply the stroboscopic map P to a motion, in place: one forcing period. Its tangent vectors V become DP V."""
     propagate(oscillator, motion, oscillator.head[HEAD.period])
 
 
 @inline_always
 def step(oscillator, motion, half):
-    """Apply the map P, or with ``half`` the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place.
+    """Apply the map P over one forcing period to a motion, in place, or with ``half`` the half-period map G.
 
-    G o G = P.
+    G(z) = -P_{T/2}(z) is a map of machines with a symmetric gap, and G o G = P.
     """
     period = oscillator.head[HEAD.period]
     propagate(oscillator, motion, 0.5 * period if half else period)
@@ -275,7 +289,10 @@ def step(oscillator, motion, half):
 
 @kernel
 def mirror(motion):
-    """Replace z by -z, in place, with the mode and the tangent vectors."""
+    """Mirror a motion, in place: its state z becomes -z, and upper and lower stop are exchanged.
+
+    The tangent vectors change sign as well.
+    """
     motion.mode[0] = 2 * FLIGHT - motion.mode[0]
     for j in range(motion.h.shape[0]):
         for k in range(2):

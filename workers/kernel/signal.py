@@ -1,4 +1,7 @@
-"""The guard of a mode as a signal in time: value, derivatives, and bounds of them."""
+"""The guard of a mode as a signal in time: its value, its derivatives, and bounds of them for all later times.
+
+A mode is a set of linear equations of motion, decoupled into blocks; its guard is the signal that can end it.
+"""
 
 import math
 
@@ -13,10 +16,11 @@ from workers.model.oscillator import COLUMN, NUMBER
 
 @inlined
 def forced(phase, w, sin_part, cos_part):
-    """Return the value of one harmonic of the forced part at its phase, and its first three derivatives in time.
+    """Return the contribution of one harmonic of the force to a signal, and its first three derivatives in time.
 
+    phase               phase of the harmonic
     w                   frequency of the harmonic
-    sin_part, cos_part  its amplitudes
+    sin_part, cos_part  amplitudes of its sine and cosine
     """
     sin, cos = sin_cos(phase)
     y, v = fma(sin_part, sin, cos_part * cos), w * fma(sin_part, cos, -cos_part * sin)
@@ -25,9 +29,12 @@ def forced(phase, w, sin_part, cos_part):
 
 @inlined
 def all_forced(waves, omega, phase):
-    """Return the forced part at a phase, its first three derivatives, and the sum of the moduli of its terms.
+    """Return the contribution of all harmonics of the force to a signal, and its first three derivatives in time.
 
-    Orders that the force lacks cost no sine.
+    waves (H, 2)  amplitudes of sine and cosine of each harmonic
+    omega, phase  forcing frequency and phase
+
+    The sum of the moduli of its terms comes last. Orders that the force lacks cost no sine.
     """
     y, v, a, j3, scale = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(waves)):
@@ -41,9 +48,10 @@ def all_forced(waves, omega, phase):
 
 @inlined
 def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
-    """Return a block's contribution q to the signal, and its first three derivatives.
+    """Return the contribution q of one block to a signal, and the first three derivatives of q.
 
-    q = c . (h, h'), q' = d . (h, h'), q'' = -2 eta q' - lam q.
+    A block is a decoupled equation of motion with state (h, h'). q = c . (h, h'), q' = d . (h, h'), q'' = -2 eta q' -
+    lam q.
     """
     q0 = fma(c0, h0, c1 * h1)
     q1 = fma(d0, h0, d1 * h1)
@@ -53,7 +61,10 @@ def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
 
 @inlined
 def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
-    """Return ``block_output`` of a block under a load: q'' = -2 eta q' - lam q + c0 load."""
+    """Return ``block_output``, the contribution of a decoupled equation to a signal, for one under a constant load.
+
+    Then q'' = -2 eta q' - lam q + c0 load.
+    """
     q0 = fma(c0, h0, c1 * h1)
     q1 = fma(c1, load, fma(d0, h0, d1 * h1))
     q2 = fma(c0, load, fma(-2.0 * eta, q1, -lam * q0))
@@ -62,11 +73,14 @@ def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
 
 @kernel
 def evaluate(blocks, waves, omega, h, s, phase, offset):
-    """Return a guard plus offset, its first three derivatives, and the scale of its rounding, at a time s.
+    """Return a guard plus ``offset`` at a time s, its first three derivatives, and the scale of its rounding.
 
-    blocks, waves  those of the mode
-    h      (n, 2)  block state at the start
+    blocks, waves  decoupled equations of motion, and forced part of the guard, see GuardedFlow
+    omega          forcing frequency
+    h      (n, 2)  state at the start, (h, h') of each equation
     phase          forcing phase at the start
+
+    A guard is a signal that can end the present law of motion.
     """
     y, v, a, j3, scale = all_forced(waves, omega, fma(omega, s, phase))
     y, scale = y + offset, scale + abs(offset)
@@ -91,11 +105,13 @@ def evaluate(blocks, waves, omega, h, s, phase, offset):
 
 @inlined
 def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
-    """Return bounds, for all later times, of a block's contribution q to the signal and of its 2nd to 4th derivatives.
+    """Return bounds, for all later times, of a block's contribution q to a signal and of its 2nd to 4th derivatives.
 
-    sqrt(q^2 + weight (q' + tilt q)^2) bounds q. With tilt = eta and weight = 1 / d it is the amplitude of the
-    oscillation. With tilt = 0 and weight = 1 / lam it is the energy, which never grows. The derivatives are at most
-    grow2...grow4 times that bound.
+    A block is a decoupled equation of motion.
+
+    q0 and q1 are q and q' now. sqrt(q^2 + weight (q' + tilt q)^2) bounds q. With tilt = eta and weight = 1 / d it is
+    the amplitude of the oscillation. With tilt = 0 and weight = 1 / lam it is the energy, which never grows. The
+    derivatives are at most grow2...grow4 times that bound.
     """
     turned = fma(tilt, q0, q1)
     b0 = math.sqrt(fma(q0, q0, weight * (turned * turned)))
@@ -104,9 +120,15 @@ def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
 
 @inlined
 def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
-    """Return ``amplitude_bounds`` for an oscillating block, d > 0; else the smaller of two bounds.
+    """Return bounds, for all later times, of a block's contribution q to a signal and of its 2nd to 4th derivative.
 
-    pull  contribution of the load to q'', see ``loaded_output``
+    A block is a decoupled equation of motion.
+
+    q0, q1  q and q' now
+    pull    contribution of the load to q'', see ``loaded_output``
+
+    For the other arguments see Block. The bounds are those of ``amplitude_bounds`` for an oscillating block, d > 0. For
+    other blocks each is the smaller of two bounds.
 
     The first bound is sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows. The second holds in a
     well overdamped block: the moduli of both exponentials, |alpha| slow^k + |beta| fast^k.
@@ -149,13 +171,15 @@ FINEST = 1e6
 
 @kernel
 def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H):
-    """Return bounds, for times up to H, of a growing block's contribution q and of its second to fourth derivative.
+    """Return bounds, for times up to H, of a growing block's contribution q to a signal and of three derivatives.
 
-    q0, q1        q and q' at the start; slow < 0
+    A block is a decoupled equation of motion; it grows if slow < 0.
+
+    q0, q1        q and q' at the start
     size0, size1  sums of moduli of the terms of q and q'
     pull          contribution of the load to q''
 
-    The k-th derivative is at most each of
+    The derivatives are the second to fourth. The k-th derivative is at most each of
 
         d > 0:   sqrt(q^2 + (q' + eta q)^2 / d) lam^(k/2) e^(-eta H)
         d < 0:   |a| |r+|^k e^(max(0, r+) H) + |b| |r-|^k e^(max(0, r-) H),  q = a e^(r+ s) + b e^(r- s)
@@ -213,7 +237,7 @@ def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H
 
 @inlined
 def growth_rate(blocks):
-    """Return the largest growth rate of any of the blocks, 0 if none grows."""
+    """Return the largest growth rate of any of the blocks, the decoupled equations of motion; 0 if none grows."""
     rate = 0.0
     for j in range(len(blocks)):
         rate = max(rate, -blocks[j, COLUMN.slow])
@@ -222,7 +246,7 @@ def growth_rate(blocks):
 
 @kernel
 def bounds_while_growing(blocks, numbers, h, H):
-    """Return ``derivative_bounds`` of a mode with a growing block."""
+    """Return ``derivative_bounds`` of a signal if a block, one of the decoupled equations of motion, grows."""
     M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
     for j in range(len(blocks)):
         block = blocks[j]
@@ -244,7 +268,10 @@ def bounds_while_growing(blocks, numbers, h, H):
 
 @inlined
 def bounds_of(block, h0, h1):
-    """Return ``block_bounds`` of a block that does not grow, a row of GuardedFlow.blocks, in the state (h0, h1)."""
+    """Return ``block_bounds`` of a decoupled equation that does not grow, in the state (h0, h1).
+
+    ``block`` are its constants, a row of GuardedFlow.blocks.
+    """
     load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
     q0 = c0 * h0 + c1 * h1
     q1 = block[COLUMN.cA0] * h0 + block[COLUMN.cA1] * h1 + c1 * load
@@ -257,10 +284,10 @@ def bounds_of(block, h0, h1):
 
 @kernel
 def derivative_bounds(blocks, numbers, h, H):
-    """Return bounds M0, M2, M3, M4 of the modulus of a guard and of its second to fourth derivative, for times up to H.
+    """Return bounds M0, M2, M3, M4, for times up to H, of the modulus of a signal and of its 2nd to 4th derivative.
 
-    blocks, numbers  those of the mode
-    h        (n, 2)  block state at the start
+    blocks, numbers  decoupled equations of motion, and sizes of the forced part, see GuardedFlow
+    h        (n, 2)  block state at the start, (h, h') of each equation
 
     If no block grows, the bounds hold for all later times.
     """

@@ -27,12 +27,13 @@ ONLY = np.int64(0)
 
 @kernel
 def to_sticking(oscillator, h, V, harmonics, z, W, u, U):
-    """Write block state u (n, 2) and tangent vectors U (m, n, 2) of sticking motion, from h and V in flight.
+    """Write block state u (n, 2) and tangent vectors U (m, n, 2) of a mass that sticks, from h and V in flight.
 
     harmonics (H, 2)   sine and cosine of the harmonics of the force, see state.harmonics_at
     z (2n,), W (m, 2n) work arrays, overwritten
 
-    The last block is y. Its constant state, the stop, is left out of u, see ``load_on_stop``.
+    A block is one decoupled equation of motion, with other coordinates in flight than while the mass sticks. The last
+    block is y, the gap coordinate. Its constant state, the stop, is left out of u, see ``load_on_stop``.
     """
     sticking, n = oscillator.sticking, h.shape[0]
     leave_flight(oscillator, h, harmonics, z)
@@ -45,9 +46,10 @@ def to_sticking(oscillator, h, V, harmonics, z, W, u, U):
 
 @kernel
 def from_sticking(oscillator, u, U, harmonics, side, z, W, h, V):
-    """Write block state h (n, 2) and tangent vectors V (m, n, 2) in flight, from u and U of sticking motion.
+    """Write state h (n, 2) and tangent vectors V (m, n, 2) in flight, from u and U of a mass that sticks.
 
-    This is the inverse of ``to_sticking``.
+    All are in coordinates of the decoupled equations: h and V of those in flight, u and U of those while the mass
+    sticks. This is the inverse of ``to_sticking``.
     """
     sticking, n = oscillator.sticking, h.shape[0]
     u[n - 1, 0] = stop_position(oscillator, side)
@@ -61,7 +63,9 @@ def from_sticking(oscillator, u, U, harmonics, side, z, W, h, V):
 
 @inlined
 def leave_flight(oscillator, h, harmonics, z):
-    """Write the physical state z (2n,), relative to equilibrium, of a block state h (n, 2) in flight.
+    """Write the state z (2n,), displacements and velocities relative to equilibrium, of a block state h (n, 2).
+
+    The block state is (h, h') of each decoupled equation in free flight.
 
     harmonics (H, 2)  sine and cosine of the harmonics of the force, see state.harmonics_at
     """
@@ -74,9 +78,9 @@ def leave_flight(oscillator, h, harmonics, z):
 
 @inlined
 def level_on_stop(oscillator, side):
-    """Return the constant part of the signal of sticking motion.
+    """Return the constant part of the force by which a stop holds the mass on it, which acts without motion.
 
-    The signal is the force by which the stop holds y; this part acts without motion of the other coordinates.
+    The force is the signal of sticking motion; at its zero the mass is released. ``side`` is the side of the stop, +-1.
     """
     last = oscillator.sticking.blocks.shape[2] - 1
     return oscillator.sticking.offset[0, 0] + oscillator.sticking.blocks[0, 0, last, COLUMN.c0] * stop_position(
@@ -86,7 +90,11 @@ def level_on_stop(oscillator, side):
 
 @kernel
 def load_on_stop(oscillator, u, harmonics, side):
-    """Return the force that presses the sticking mass on the stop, from its block state u (n, 2)."""
+    """Return the force that presses the sticking mass on the stop of this side, +-1.
+
+    u (n, 2)          state of the decoupled equations that hold while the mass sticks
+    harmonics (H, 2)  sine and cosine of the harmonics of the force, see state.harmonics_at
+    """
     sticking = oscillator.sticking
     return -side * (
         guard_of(sticking.blocks[0, 0], u) + wave(sticking.waves[0, 0], harmonics)[0] + level_on_stop(oscillator, side)
@@ -95,13 +103,15 @@ def load_on_stop(oscillator, u, harmonics, side):
 
 @inline_always
 def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
-    """Advance h and V in place while the mass sticks on a stop: until the load falls to zero, or for H.
+    """Advance a mass that sticks on a stop until the load falls to zero, at most for the time H.
 
+    h (n, 2), V       state of the decoupled equations, and tangent vectors, changed in place
     growth, triangle  see tangent.orthonormalise; empty if the vectors stay as they are
     phase             forcing phase at the start
     side              side of the stop, +-1
 
-    Return (time, released, evaluations); ``released`` is 2 if the march gave up.
+    Return (time, released, evaluations); ``released`` is 1 if the load falls to zero, else 0, and 2 if the search gave
+    up.
     """
     h, V = borrow(h), borrow(V)
     sticking, n = oscillator.sticking, h.shape[0]

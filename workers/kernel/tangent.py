@@ -1,6 +1,7 @@
-"""The tangent frame, the set of tangent vectors that a motion carries along, and when it is made orthonormal.
+"""The tangent frame, the set of tangent vectors that a motion carries along: its flow, and its orthonormalisation.
 
-Gram-Schmidt orthonormalisation keeps the logarithms of its factors (Li & Tan 2011).
+Gram-Schmidt orthonormalisation keeps the logarithms of its factors, from which Lyapunov exponents follow (Li & Tan
+2011).
 """
 
 import math
@@ -28,9 +29,10 @@ DEPENDENT = 1e-12
 
 @inlined
 def inner(blocks, V, i, W, k):
-    """Return the product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k].
+    """Return the inner product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k].
 
-    Undamped flight conserves this product.
+    For vectors in block coordinates, j numbers the decoupled equations of motion. Undamped flight conserves this
+    product.
     """
     total = 0.0
     for j in range(len(blocks)):
@@ -42,7 +44,7 @@ def inner(blocks, V, i, W, k):
 def orthonormalise(blocks, V, growth, triangle, rank):
     """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
-    rank             number of directions that exist
+    rank             number of directions that exist; others are lost, such as that of a mass at rest on a stop
     triangle (m, m)  product of all factors r so far, with rows divided by exp(growth), which keeps it in range; (0, 0)
                      if not wanted
 
@@ -76,9 +78,9 @@ def orthonormalise(blocks, V, growth, triangle, rank):
 
 @kernel
 def drop_dependent(blocks, V, rank):
-    """Zero those of the first ``rank`` vectors of V (m, n, 2) that are sums of earlier vectors, to rounding.
+    """Set to zero each of the first ``rank`` vectors of V (m, n, 2) that is, to rounding, a sum of earlier vectors.
 
-    If masses do not couple, an event that removes directions may leave fewer vectors than directions.
+    If masses do not couple, an event that removes directions may leave fewer independent vectors than directions.
     """
     U, m = V.copy(), min(rank, V.shape[0])
     lengths = np.empty(m)
@@ -99,14 +101,18 @@ def drop_dependent(blocks, V, rank):
 
 @inlined
 def log_length(blocks, V, growth):
-    """Return the log of the length of the first vector, including the growth removed so far."""
+    """Return the log of the length of the first tangent vector, including ``growth``, the log removed so far."""
     first = np.int64(0)  # typed, as in run_batch
     return growth[0] + 0.5 * log(inner(blocks, V, first, V, first))
 
 
 @kernel
 def add_row(triangle, growth, i, k, factor):
-    """Record in the triangle that ``factor`` times vector i, with growth exp(growth), was subtracted from vector k."""
+    """Record in ``triangle`` that ``factor`` times tangent vector i was subtracted from vector k.
+
+    The triangle is the product of all factors of the orthonormalisation so far. Its rows are scaled by ``growth``, the
+    log of the length removed from each vector so far.
+    """
     if factor != 0.0:  # exp(...) may be infinite between uncoupled blocks
         factor *= exp(growth[k] - growth[i])
         for c in range(k, triangle.shape[1]):
@@ -115,9 +121,11 @@ def add_row(triangle, growth, i, k, factor):
 
 @external(FLOATS[2], types.float64, FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def graded_flow(blocks, s, V, growth, triangle, rank):
-    """Advance the tangent vectors V (m, n, 2) by any time s; they become the product V exp(growth) triangle, in place.
+    """Advance the tangent vectors V (m, n, 2) by a flight of any duration s, without loss of contracted directions.
 
-    blocks            rows of eta, lam, ..., see Block
+    The result is the product V exp(growth) triangle, whose three factors change in place.
+
+    blocks            constants of the decoupled equations of motion, see Block
     growth, triangle  see ``orthonormalise``
     rank              number of directions that exist
 
@@ -198,11 +206,12 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
 
 @kernel
 def spread_rate(blocks):
-    """Return the rate at which a flight spreads the frame.
+    """Return the rate, per time, at which a flight stretches some tangent vectors of a frame relative to others.
 
-    The rate is the largest contraction rate of the blocks plus that of growth. The flow of a rigid mode of vibration is
-    also a shear, (h, h') -> (h + h' s, h'). It spreads by at most sqrt(metric) per time. The flow of a growing block is
-    a shear in the norm of metric = nu^2. It spreads by at most |nu - lam / nu| / 2 besides eta.
+    The rate is the largest contraction rate of the blocks (the decoupled equations) plus the largest growth rate. The
+    flow of a rigid mode of vibration is also a shear, (h, h') -> (h + h' s, h'). It spreads by at most sqrt(metric) per
+    time. The flow of a growing block is a shear in the norm of metric = nu^2. It spreads by at most |nu - lam / nu| / 2
+    besides eta.
     """
     rate, growth = 0.0, 0.0
     for j in range(len(blocks)):
@@ -217,7 +226,10 @@ def spread_rate(blocks):
 
 @inline_always
 def fly_far(oscillator, motion, s):
-    """Advance the state and the frame by s in free flight, for any spread of the frame."""
+    """Advance the state and the tangent vectors of a motion by a free flight of any duration s, in place.
+
+    The frame of tangent vectors is made orthonormal at the end.
+    """
     blocks = oscillator.gap.blocks
     rank = 2 * len(blocks) - int(motion.tally[LOST])
     flow(blocks, s, motion.h)
@@ -227,7 +239,7 @@ def fly_far(oscillator, motion, s):
 
 @kernel
 def reset_frame(blocks, motion):
-    """Make the frame of a motion, its tangent vectors, orthonormal in place.
+    """Make the tangent vectors of a motion, its frame, orthonormal in place.
 
     The logarithm of the length of each vector is added to its growth.
     """
@@ -239,20 +251,25 @@ def reset_frame(blocks, motion):
 
 @inlined
 def needs_reset(spread, more, limit):
-    """Return True if the frame must be made orthonormal before the next flight and impact spread it by ``more``.
+    """Return True if a frame of tangent vectors must be made orthonormal before the next flight and impact.
 
-    The frame is the set of tangent vectors of a motion. ``spread`` is its spread so far, as a logarithm; ``limit`` the
-    largest one.
+    spread  largest stretch so far of some vectors relative to others, as a logarithm
+    more    stretch by the flight and the impact
+    limit   largest stretch allowed
     """
     return spread > 0.0 and spread + more > limit
 
 
 @inlined
 def impact_spread(ratio, unit, loss):
-    """Return the largest spread of the frame, as a logarithm, by an impact with ratio = a / v.
+    """Return the largest stretch by an impact of some tangent vectors relative to others, as a logarithm.
 
-    The spread is at most 2 ln(1 + u) + |ln R| with u = |ratio| unit, where ``unit`` is the oscillator's time_unit. The
-    bound ln x < (x - 1) / sqrt(x) avoids the logarithms. ``loss`` is the value of ``loss_spread``.
+    ratio  a / v, acceleration by velocity of the gap coordinate just before the impact
+    unit   time_unit of the oscillator
+    loss   value of ``loss_spread``
+
+    The stretch is at most 2 ln(1 + u) + |ln R| with u = |ratio| unit. The bound ln x < (x - 1) / sqrt(x) avoids the
+    logarithms.
     """
     u = abs(ratio) * unit
     return 2.0 * u / math.sqrt(1.0 + u) + loss
@@ -260,5 +277,5 @@ def impact_spread(ratio, unit, loss):
 
 @inlined
 def loss_spread(R):
-    """Return the contribution of the restitution to ``impact_spread``: at least |ln R|."""
+    """Return the contribution of the coefficient of restitution R to ``impact_spread``: at least |ln R|."""
     return abs(1.0 - R) / math.sqrt(max(R, TINY))

@@ -1,7 +1,7 @@
-"""Compilation of the kernels of this package without unrolling loops of unknown length.
+"""Compilation of the kernels of this package without unrolling loops whose number of rounds is unknown.
 
-Kernels of other packages are compiled as usual. LLVM has no such option for one function, so the option is set while a
-kernel of this package is compiled.
+Kernels of other packages are compiled as usual. LLVM, Numba's compiler, has no such option for one function. The option
+is therefore set while a kernel of this package is compiled.
 """
 
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ def _leave() -> None:
 
 @contextmanager
 def not_unrolled() -> Iterator[None]:
-    """Compile within the block without unrolling loops of unknown length."""
+    """Compile within the block without unrolling loops whose number of rounds is unknown."""
     _enter()
     try:
         yield
@@ -43,10 +43,10 @@ def not_unrolled() -> Iterator[None]:
 
 
 class _Compiling(event.Listener):
-    """Listener that sets the option while Numba compiles a function of this package."""
+    """Listener to Numba that switches loop unrolling off while a function of this package is compiled."""
 
     def on_start(self, event: event.Event) -> None:
-        """Set the option; Numba holds its lock here, so no other thread compiles."""
+        """Switch loop unrolling off. Numba holds its lock here, so no other thread compiles."""
         if _is_own(event):
             _enter()
 

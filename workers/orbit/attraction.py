@@ -1,7 +1,8 @@
-"""The test that a motion near an orbit converges to the orbit.
+"""The test that a motion near a periodic orbit converges to the orbit.
 
-A turn takes h* + d to h* + J d + r, with r the deviation from the linear map. The multipliers of J are at most |mu| <
-1, but its energy norm may exceed 1: a deviation may grow for some turns. With every turn it shrinks in the norm
+One turn of the orbit takes a state h* + d to h* + J d + r, with h* on the orbit and r the deviation from the linear map
+J. The multipliers of J are at most |mu| < 1, but its energy norm may exceed 1: a deviation may grow for some turns.
+With every turn it shrinks in the norm
 
     |d|_P^2 = d.P d = sum_{k < K} |A^k d|^2,    A = J / q,    q = (1 + |mu|) / 2,    K a power of two with |A^K| <= 1,
 
@@ -34,7 +35,7 @@ MAX_DOUBLINGS = 30
 
 @inline_always
 def deviation(h, fixed):
-    """Return the difference (2n,) of two block states (n, 2)."""
+    """Return the difference h - fixed of two states (n, 2) of the decoupled equations of motion as a vector (2n,)."""
     d = np.empty(h.size)
     for k in range(h.size):
         d[k] = h[k // 2, k % 2] - fixed[k // 2, k % 2]
@@ -55,11 +56,13 @@ def add_product(target, left, right):
 
 @kernel
 def shrinking_norm(blocks, J, contraction):
-    """Return P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation; NaN if no such norm is found.
+    """Return the matrix P (2n, 2n) of a norm sqrt(d.P d) in which J (2n, 2n) shrinks every deviation d.
 
-    contraction = 1 - |mu|.
+    P is NaN if no such norm is found. ``blocks`` are constants of the decoupled equations of motion, in whose energy
+    norm |d| is taken. ``contraction`` is 1 - |mu|, with mu the multiplier of J of largest modulus.
 
-    The sum to 2K is P + (A^K)' P A^K: all terms are squares, so there is no cancellation.
+    For the sum over k < K see the head of this module. The sum to 2K is P + (A^K)' P A^K: all terms are squares, so
+    there is no cancellation.
     """
     size = len(J)
     weight, A, P = np.empty(size), np.empty((size, size)), identity(size)
@@ -85,7 +88,7 @@ def shrinking_norm(blocks, J, contraction):
 
 @inline_always
 def squared(P, d):
-    """Return d.P d."""
+    """Return the square d.P d of the length of a vector d in the norm of a matrix P."""
     total = 0.0
     for i in range(len(d)):
         for k in range(len(d)):
@@ -95,10 +98,11 @@ def squared(P, d):
 
 @external(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
-    """Return True if one turn, from block state h to ``image``, proves convergence to the orbit through ``fixed``.
+    """Return True if one turn of a motion, from state h to ``image``, passes the test of convergence to an orbit.
 
-    The states are (n, 2). The test is |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of
-    ``shrinking_norm``.
+    The orbit passes through ``fixed`` = h*, with linear map J and contraction 1 - |mu|. The states (n, 2) are those of
+    the decoupled equations. The test is |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as
+    returned by ``shrinking_norm``.
     """
     P, J, fixed, h, image = by_value(P), by_value(J), by_value(fixed), by_value(h), by_value(image)
     d, r = deviation(h, fixed), deviation(image, fixed)
@@ -110,9 +114,11 @@ def falls_into(P, J, contraction, fixed, h, image):
 
 @external(FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
 def stays_nearer(blocks, P, J, fixed, h, begun):
-    """Return True if a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and stays so by J alone.
+    """Return True if a motion at state h (n, 2) is nearer to an orbit than ``begun``, and stays nearer.
 
-    This is certain once the deviation is smaller in the norm of P, which never grows and is the larger of the two.
+    Future turns are those of the linear map J. Distances from the state ``fixed`` on the orbit are in the energy norm
+    of ``blocks``, the decoupled equations of motion. The result is certain once the deviation is smaller in the norm of
+    P, which never grows and is the larger of the two.
     """
     blocks, P, J = by_value(blocks), by_value(P), by_value(J)
     fixed, h = by_value(fixed), by_value(h)

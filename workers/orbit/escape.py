@@ -1,4 +1,4 @@
-"""The proof that a growing motion meets no guard again and goes to infinity."""
+"""The proof that a growing motion meets no contact or other event again and goes to infinity."""
 
 import math
 
@@ -23,12 +23,15 @@ forever."""
 
 @kernel
 def future_of(blocks, numbers, h, offset, low, high):
-    """Return where a guard stays for ever, from block state h (n, 2) on: BEHIND, INSIDE, or another code if unknown.
+    """Return where a signal certainly stays for ever, from state h (n, 2) of the decoupled equations on.
 
-    A guard is a signal whose ends ``low`` and ``high`` are events; ``offset`` is added to the signal. BEHIND: the
-    fastest growth a e^(r s), r real, moves the guard away from its only end, and the other terms are at most M e^(m s).
-    Then y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r >= M m. INSIDE:
-    nothing grows in the guard, m = 0 and a = 0, and M keeps it between its ends.
+    The result is BEHIND, INSIDE, or REACHED if the future is uncertain.
+
+    The signal plus ``offset`` has an event at its ends ``low`` and ``high``; ``blocks`` and ``numbers`` describe it,
+    see GuardedFlow. BEHIND: the fastest growth a e^(r s), r real, moves the signal away from its only end, and the
+    other terms are at most M e^(m s). Then y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is
+    positive at s = 0 and a r >= M m. INSIDE: nothing grows in the signal, m = 0 and a = 0, and M keeps it between its
+    ends.
     """
     first, r = 0, 0.0
     for j in range(len(blocks)):
@@ -80,9 +83,10 @@ def future_of(blocks, numbers, h, offset, low, high):
 
 @kernel
 def escaping(oscillators, motions, cells):
-    """Return the mask of motions at a section that grow and meet no guard again.
+    """Return the mask of the motions at t = k T that certainly grow to infinity without another event.
 
-    Of the machines with modes, only those with one phase are decided; others are False.
+    A machine with modes, sets of linear equations, is decided only if its constants are the same in the whole forcing
+    period; others are False.
     """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     escapes = np.zeros(len(cells), dtype=np.bool_)
@@ -100,9 +104,9 @@ def escaping(oscillators, motions, cells):
 
 @inline_always
 def escapes_in_modes(oscillator, h, mode):
-    """Return True if a growing motion never reaches an end of a guard of its mode again.
+    """Return True if a growing motion certainly never leaves its mode, the set of linear equations that holds now.
 
-    A guard is a signal whose ends are events. Return False if phases change the mode.
+    No event then ends the mode. Return False if phases, parts of the forcing period, change the mode.
     """
     table, pieces, at = oscillator.table, oscillator.table.pieces, np.zeros(h.shape)
     k = slot_of(table.codes, mode)

@@ -22,7 +22,7 @@ NARROW = 2.0
 
 @kernel
 def overlaps(blocks, before, after, m):
-    """Return the products (m, m) of the first m tangent vectors of two frames in the energy norm.
+    """Return the inner products (m, m) of the first m tangent vectors of two frames, with the metric of ``blocks``.
 
     A frame is a set of tangent vectors. The products are an orthogonal matrix if both frames span the same space.
     """
@@ -68,9 +68,10 @@ def spread_of(logs, ends):
 
 @kernel
 def block_logs(rotation, growth, triangle, ends, size):
-    """Return ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest of their moduli.
+    """Return ln|eigenvalues| of the matrix rotation diag(exp(growth)) triangle, and the largest of their moduli.
 
-    The products are scaled against overflow. Missing eigenvalues up to ``size`` are -infinity: lost directions.
+    They are found for each diagonal block alone; ``ends`` are the indices at which the blocks end. The products are
+    scaled against overflow. Missing eigenvalues up to ``size`` are -infinity: lost directions.
     """
     logs = np.full(size, -np.inf)
     largest, start = 0.0, 0
@@ -90,14 +91,18 @@ def block_logs(rotation, growth, triangle, ends, size):
 
 @inline_always
 def floquet(oscillator, point, steps, half, limit):
-    """Return the log moduli of the multipliers per turn, in any order, their rounding error, and the number of turns.
+    """Return the logs of the moduli of an orbit's multipliers, their rounding error, and the number of turns simulated.
 
-    0 turns if ``limit`` < 2, or if the frame cannot be carried round the orbit.
+    point        fixed point of the orbit
+    steps, half  its turn: number of steps, each a period or with ``half`` the half-period map
+    limit        maximum number of turns
 
-    A frame is carried round the orbit until it splits into invariant subspaces. The factors of QR are kept as
-    logarithms, so multipliers of any spread keep their digits. Blocks that do not split have multipliers of nearly
-    equal modulus, and their product can be formed. Lost directions are -infinity: a turn that loses directions only
-    shows the remaining ones, and another turn may lose more.
+    The order is any. The number of turns is 0 if ``limit`` < 2, or if the motion cannot be carried round the orbit.
+
+    A frame, a set of tangent vectors, is carried round the orbit until it splits into invariant subspaces. The factors
+    of QR are kept as logarithms, so multipliers of any spread keep their digits. Blocks that do not split have
+    multipliers of nearly equal modulus, and their product can be formed. Lost directions are -infinity: a turn that
+    loses directions shows only the remaining ones, and another turn may lose more.
     """
     size = point.h.size
     frame = cosine_vectors(point.h.shape[0])

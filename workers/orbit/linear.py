@@ -1,6 +1,7 @@
-"""Machines whose law changes with phases alone: their map z -> J z + c is affine, known for all states.
+"""Motion without contacts and friction: its map z -> J z + c over a period is affine, and so known for all states.
 
-Other machines are treated so while their motion certainly meets no contact and phases change contacts alone.
+The matrices of such a machine may change with phases, parts of the forcing period. Other machines are treated in the
+same way while their motion certainly meets no contact and phases change contacts alone.
 """
 
 from typing import NamedTuple
@@ -38,7 +39,13 @@ SETTLED_CHANGE, BOUNDED = 1e-12, 1e3
 
 @inline_always
 def meets_nothing(oscillator, h, mode):
-    """Return True if this motion never meets a contact and no phase changes it; True without contacts and friction."""
+    """Return True if a motion certainly never meets a contact, and its law does not change within the forcing period.
+
+    h (n, 2)  state of the decoupled equations of motion
+    mode      number of the mode, the set of linear equations that holds
+
+    The result is True for a machine without contacts and friction, whose law may change within the period.
+    """
     table, pieces, n = oscillator.table, oscillator.table.pieces, h.shape[0]
     C, F, P = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.elements.starts.shape[0] - 1
     if F > 0 or C == 0:
@@ -66,7 +73,10 @@ def meets_nothing(oscillator, h, mode):
 
 @kernel
 def contact_free(oscillators, motions, cells):
-    """Return the mask of motions of machines with modes that never meet a contact, see meets_nothing."""
+    """Return the mask of the motions that certainly never meet a contact, see meets_nothing.
+
+    All machines have modes, sets of linear equations of motion that hold between two events.
+    """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
@@ -77,14 +87,14 @@ def contact_free(oscillators, motions, cells):
 
 
 class AffineMaps(NamedTuple):
-    """The maps z -> J z + c of E motions over one period, from block states (E, n, 2).
+    """The maps z -> J z + c of E motions over one period, from states (E, n, 2) of the decoupled equations.
 
     images     (E, n, 2)    images of the states
     jacobians  (E, 2n, 2n)  J
     fixed      (E, n, 2)    fixed points, see newton_step
     logs       (E, 2n)      log moduli of the multipliers, in any order
     errors     (E,)         their rounding errors
-    turns      (E,)         periods simulated for the multipliers; 0 if they are not known
+    turns      (E,)         periods simulated for the multipliers; 0 if the multipliers are not known
     tally      (E, TALLIES) counts over the period, see motion.Motion
     """
 
@@ -99,12 +109,12 @@ class AffineMaps(NamedTuple):
 
 @kernel
 def affine_maps(oscillators, mode, states, cells, cycles):
-    """Return the fields of AffineMaps: the affine map of one period at states (E, n, 2) of these cells.
+    """Return the fields of AffineMaps: the map of one period, and its multipliers, at states (E, n, 2) of these cells.
 
-    oscillators, mode  machines, and numbers of the modes of their motions
-    states             (E, n, 2) block states
+    oscillators, mode  machines, and numbers of the modes (sets of linear equations) that hold
+    states             (E, n, 2) states of the decoupled equations
     cells              rows of the machines
-    cycles             maximum number of turns simulated for the multipliers
+    cycles             maximum number of periods simulated for the multipliers
     """
     oscillators = by_reference(oscillators)
     E, n = states.shape[0], states.shape[1]
@@ -127,10 +137,16 @@ def affine_maps(oscillators, mode, states, cells, cycles):
 
 @np.errstate(all="ignore")
 def linear_orbits(oscillators: Oscillator, motions: Motion, cells: Rows, orbits: PeriodicOrbits, spent: Rows) -> Rows:
-    """Return the future of each of these motions, all of them contact_free: STAYS, GROWS or UNKNOWN.
+    """Return the future of each of these motions, which never meet a contact: STAYS, GROWS or UNKNOWN.
 
-    Write the limit of the motion, or its own state if it continues forever, and its exponents into the rows of
-    ``orbits``. Write the periods spent into ``spent`` (N,). Multipliers of one to rounding have exponents of 0.
+    oscillators  batch of machines
+    motions      batch of motions
+    cells        rows of the motions
+    orbits       PeriodicOrbits; the limit of a motion, or its own state if it continues for ever, is written with its
+                 exponents
+    spent        (N,) number of periods simulated, written
+
+    Multipliers of modulus one to rounding have exponents of 0.
     """
     verdicts, starts = np.full(len(cells), UNKNOWN), motions.h[cells]
     contacts = oscillators.table.elements.row.shape[1] > 0
@@ -164,10 +180,14 @@ def linear_orbits(oscillators: Oscillator, motions: Motion, cells: Rows, orbits:
 
 
 def rates_if_undamped(oscillators: Oscillator, r: int, mode: int, logs: Array) -> float:
-    """Write the exact logarithms of multipliers if a block of this mode is not damped and no phase changes the mode.
+    """Write the exact logarithms of the multipliers of an undamped motion to ``logs``, and return their error.
 
-    Return their error, infinity if the logarithms stay unchanged. Two multipliers that meet at 1, as of a free mass,
-    would be known only to the square root of rounding by the map.
+    r     row of the machine
+    mode  number of the mode, the set of linear equations that holds
+
+    A motion is undamped if a decoupled equation has no damping and the mode holds in the whole forcing period. For
+    other motions ``logs`` stays unchanged and the error is infinity. Two multipliers that meet at 1, as of a free mass,
+    would be known from the map only to the square root of rounding.
     """
     table, (slots,) = oscillators.table, np.nonzero(oscillators.table.codes[r] == mode)
     blocks = table.pieces.blocks[r, slots[:1], 0].reshape(-1, len(COLUMN))
@@ -179,10 +199,10 @@ def rates_if_undamped(oscillators: Oscillator, r: int, mode: int, logs: Array) -
 
 
 def where_it_stays(J: Array, base: Array, image: Array, h: Array) -> Array:
-    """Return the limit of block state h (n, 2) under the affine map z -> J z + c that takes ``base`` to ``image``.
+    """Return the limit of state h (n, 2) if the map z -> J z + c, which takes ``base`` to ``image``, is repeated.
 
-    The largest multiplier is one. Return h itself if the motion continues forever, and NaN if it is unbounded, as for a
-    free mass that moves.
+    The largest modulus of the multipliers of J is one. Return h itself if the motion continues forever, and NaN if it
+    is unbounded, as for a free mass that moves.
     """
     A, start, c = J, h.ravel(), _add_product(image.ravel(), -J, base.ravel())
     before = max(np.max(np.abs(A)), 1.0), np.max(np.abs(c)) + np.max(np.abs(start))
@@ -203,7 +223,10 @@ def where_it_stays(J: Array, base: Array, image: Array, h: Array) -> Array:
 
 
 def _add_product(total: Array, A: Array, B: Array) -> Array:
-    """Return total + A B, added up in the order of the columns of A: BLAS would add up by the kind of processor."""
+    """Return total + A B, added up in the order of the columns of A.
+
+    BLAS would add up in an order that depends on the processor.
+    """
     for column, row in zip(A.T, B, strict=True):
         total = total + np.multiply.outer(column, row)
     return total

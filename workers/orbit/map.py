@@ -1,4 +1,6 @@
-"""The map of some steps, whole periods P or half periods G, with its Jacobian; distances between its states.
+"""The map of a motion over some steps, with its Jacobian, and distances between its states.
+
+A step is one forcing period, map P, or half a period with a mirrored state, map G.
 
 For a symmetric gap G o G = P.
 """
@@ -17,7 +19,13 @@ from workers.model.oscillator import COLUMN, Array
 
 
 class FixedPoint(NamedTuple):
-    """A fixed point of some steps of the map: block state, its image, mode, Jacobian and residual |F(h) - h|."""
+    """A fixed point of a map F over some periods.
+
+    h, image  (n, 2) block state, (h, h') of each decoupled equation, and F(h)
+    mode      number of the mode, the set of linear equations that holds there
+    jacobian  (2n, 2n) Jacobian of F
+    residual  |F(h) - h| in the energy norm
+    """
 
     h: Array
     image: Array
@@ -28,9 +36,11 @@ class FixedPoint(NamedTuple):
 
 @kernel
 def iterate(oscillator, h, mode, V, growth, triangle, steps, half):
-    """Return the motion after ``steps`` of the map, half or whole periods, from block state h; see motion_with.
+    """Return the motion after ``steps`` steps of the map, from state h (n, 2) in the mode of this number.
 
-    Its status is not RUNNING if the motion cannot be followed.
+    The mode is the set of linear equations of motion that holds, and h the state of its decoupled equations. A step is
+    one period, or with ``half`` the half-period map. V, growth and triangle are the tangent vectors to carry, see
+    Motion. The status of the motion is not RUNNING if the motion cannot be followed.
     """
     motion = motion_with(h, mode, V, growth, triangle)
     for _ in range(steps):
@@ -44,13 +54,16 @@ def iterate(oscillator, h, mode, V, growth, triangle, steps, half):
 
 @kernel
 def iterate_alone(oscillator, h, mode, steps, half):
-    """Return the motion after ``steps`` of the map from block state h, without tangent vectors."""
+    """Return the motion after ``steps`` steps of the map from state h (n, 2), without tangent vectors; see iterate.
+
+    h is the state of the decoupled equations of motion, (h, h') of each.
+    """
     return iterate(oscillator, h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
 
 
 @kernel
 def jacobian_of(V):
-    """Return the Jacobian (2n, 2n) with tangent vectors V (2n, n, 2) as columns."""
+    """Return the Jacobian (2n, 2n) of a map whose columns are the tangent vectors V (2n, n, 2) after the map."""
     J = np.empty((len(V), len(V)))
     for i in range(len(V)):
         for k in range(len(V)):
@@ -60,7 +73,10 @@ def jacobian_of(V):
 
 @kernel
 def map_with_jacobian(oscillator, h, mode, steps, half):
-    """Return the motion after ``steps`` of the map from h, and the Jacobian (2n, 2n) of the map there."""
+    """Return the motion after ``steps`` steps of the map from state h (n, 2), and the Jacobian (2n, 2n) of the map.
+
+    h is the state of the decoupled equations of motion, (h, h') of each. See iterate.
+    """
     motion = iterate(oscillator, h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
     return motion, jacobian_of(motion.V)
 
@@ -76,7 +92,10 @@ def squares(values):
 
 @kernel
 def separation(blocks, h, g):
-    """Return the energy norm of the difference of two block states (n, 2), see Block.metric."""
+    """Return the distance of two states h and g (n, 2): the energy norm of their difference, see Block.metric.
+
+    The states are those of the decoupled equations of motion.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total += blocks[j, COLUMN.metric] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2

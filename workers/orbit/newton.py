@@ -1,8 +1,9 @@
 """Periodic orbits of the stroboscopic map: near returns, Newton's method, attraction, symmetry.
 
-For a symmetric gap an orbit of odd period m is first sought as an orbit of the half-period map G, G o G = P. An orbit
-that closes after m steps of G is symmetric with period m. The maps belong to a section near which the motion meets no
-stop, see ``orbit.section``; results refer to the section t = k T.
+P is the map over one forcing period. For a symmetric gap an orbit of odd period m is first sought as an orbit of the
+half-period map G, which mirrors the state so that G o G = P. An orbit that closes after m steps of G is symmetric with
+period m. The maps take states from period to period, at instants near which the motion meets no stop, see
+``orbit.section``. Results refer to the instants t = k T.
 """
 
 import math
@@ -48,12 +49,12 @@ PROVED: a stable orbit that is."""
 
 
 class PeriodicOrbit(NamedTuple):
-    """A closed orbit of m steps of the map, with its multipliers.
+    """A periodic orbit that closes after m steps of the map, with its multipliers mu.
 
-    h          (n, 2) section state on the orbit
-    mode       number of its mode there
+    h          (n, 2) state of the decoupled equations on the orbit, at t = k T
+    mode       number of the mode there, the set of linear equations that holds
     steps      m
-    half       True if a step is half a period (map G)
+    half       True if a step is half a period (map G), else a period
     exponents  (2n,) ln|mu| / period, in any order; -infinity in directions that are structurally lost
     error      rounding error of the exponents
     """
@@ -68,9 +69,10 @@ class PeriodicOrbit(NamedTuple):
 
 @kernel
 def newton_step(h, image, J):
-    """Return the block state after one step of Newton's method, h - (J - I)^-1 (F(h) - h).
+    """Return the state (n, 2) after one step of Newton's method for a fixed point of a map F, from state h (n, 2).
 
-    It is not finite if the matrix is singular.
+    It is h - (J - I)^-1 (F(h) - h), with ``image`` = F(h) and J (2n, 2n) the Jacobian. It is not finite if J - I is
+    singular. The states are those of the decoupled equations of motion.
     """
     matrix, better = J.copy(), h.copy()
     for k in range(len(J)):
@@ -83,16 +85,23 @@ def newton_step(h, image, J):
 
 @kernel
 def is_hopeless(J):
-    """Return True if the spectral radius is HOPELESS or more; mostly its bound, the Frobenius norm, suffices."""
+    """Return True if no stable orbit is near a state with this Jacobian: its spectral radius is HOPELESS or more.
+
+    Mostly its bound, the Frobenius norm, suffices.
+    """
     return not squares(J) < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
 
 
 @inline_always
 def newton(oscillator, start, mode, steps, half, scale, limit):
-    """Return the fixed point of the map near block state ``start``, to rounding, and the number of Newton steps.
+    """Return a FixedPoint of the map near a state ``start`` (n, 2), to rounding, and the number of Newton steps.
 
-    h <- h - (J - I)^-1 (F(h) - h) is repeated, at most ``limit`` times, until the residual stops falling. The residual
-    must end below 1e-10 of ``scale``; without a fixed point it is infinite.
+    steps, half  number of steps of the map; a step is a period, or with ``half`` the half-period map
+    scale        size of the motion, see scale_of
+    limit        maximum number of Newton steps
+
+    The states are those of the decoupled equations of motion. h <- h - (J - I)^-1 (F(h) - h) is repeated until the
+    residual stops falling. The residual must end below 1e-10 of ``scale``; without a fixed point it is infinite.
     """
     h = start.copy()
     blocks = oscillator.gap.blocks
@@ -117,9 +126,13 @@ def newton(oscillator, start, mode, steps, half, scale, limit):
 
 @inline_always
 def least_turn(oscillator, point, steps, half, scale):
-    """Return (steps, half) of the shortest turn of an orbit that closes after these, and half periods flown.
+    """Return (steps, half) of the shortest turn after which an orbit closes, and the number of half periods simulated.
 
-    A motion returns only after several turns if an impact alternates between both sides of the section t = k T.
+    point        fixed point of the orbit
+    steps, half  a turn after which it closes: number of steps, each a period or with ``half`` the half-period map
+    scale        size of the motion
+
+    A motion returns only after several turns if an impact alternates between both sides of the instant t = k T.
     """
     spent = 0
     for fewer in range(1, steps + 1):
@@ -138,10 +151,16 @@ def least_turn(oscillator, point, steps, half, scale):
 
 @inline_always
 def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
-    """Return whether a motion at block state h converges to an orbit, and the turns taken, at most ``limit``.
+    """Return True if a motion at state h (n, 2) surely converges to an orbit, and the number of turns simulated.
 
-    Every turn must pass the test of ``orbit.attraction`` until the motion stays nearer to the orbit, and in one more
-    turn. A motion that reaches the orbit passes as well.
+    point        fixed point of the orbit
+    steps, half  its turn: number of steps, each a period or with ``half`` the half-period map
+    contraction  1 - |mu|, with mu the largest multiplier
+    scale        size of the motion
+    limit        maximum number of turns
+
+    h is the state of the decoupled equations of motion. Every turn must pass the test of ``orbit.attraction`` until the
+    motion stays nearer to the orbit, and in one more turn. A motion that reaches the orbit passes as well.
     """
     blocks, norm = oscillator.gap.blocks, shrinking_norm(oscillator.gap.blocks, point.jacobian, contraction)
     begun, at, nearer = separation(blocks, h, point.h), h, False
@@ -159,10 +178,11 @@ def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
 
 @inline_always
 def find_orbit(oscillator, h, mode, steps, half, scale, budget):
-    """Return (verdict, PeriodicOrbit, half periods spent) of the orbit near block state h (n, 2).
+    """Return (verdict, PeriodicOrbit, half periods spent) of the periodic orbit near a state h (n, 2).
 
-    The verdict is NO_ORBIT, UNPROVED or PROVED, see ``settle``. At most ``budget`` half periods are spent. The orbit
-    closes after ``steps`` or a divisor of them.
+    h is the state of the decoupled equations of motion. The verdict is NO_ORBIT, UNPROVED or PROVED, see ``settle``. At
+    most ``budget`` half periods are simulated. The orbit closes after ``steps`` or a divisor of this number. A step is
+    a period, or with ``half`` the half-period map. ``scale`` is the size of the motion.
     """
     guess, spent = h, 0
     while True:
@@ -204,10 +224,14 @@ def find_orbit(oscillator, h, mode, steps, half, scale, budget):
 
 @kernel
 def recurrence(blocks, sections, near, longest):
-    """Return the periods p <= longest after which the last section nearly returned, the closest first.
+    """Return the numbers of periods after which a motion nearly returned to its last state, the closest return first.
 
-    The sections are (K, n, 2). A return is within ``near`` in the energy norm and ten times closer than for any shorter
-    p. There are at most three. ``settle`` decides whether a return belongs to an orbit.
+    sections  (K, n, 2) its states of the decoupled equations at the last instants t = k T
+    near      largest distance of a return, in the energy norm of ``blocks``
+    longest   maximum number of periods p
+
+    A return is ten times closer than any for shorter p. There are at most three. ``settle`` decides whether a return
+    belongs to an orbit.
     """
     closest = np.empty(3, dtype=np.int64)
     count, last = 0, len(sections) - 1
@@ -225,10 +249,13 @@ def recurrence(blocks, sections, near, longest):
 
 @kernel
 def far_from_closing(blocks, h, sections, cells, returns, limit):
-    """Return the mask of cells with none of the ``returns`` sections before the last within ``limit`` of the last one.
+    """Return the mask of the cells whose motion has not come near its last state in the last ``returns`` periods.
 
-    ``limit`` is relative to the motion's scale. The number of returns is fixed, since on a torus more returns come
-    nearer.
+    h         (N, n, 2) states of the decoupled equations, for the sizes of the motions
+    sections  (N, K, n, 2) block states at the last instants t = k T
+    limit     largest distance of a return, relative to the size of the motion
+
+    The number of returns is fixed, since on a torus more returns come nearer.
     """
     far = np.empty(len(cells), dtype=np.bool_)
     last = sections.shape[1] - 1
@@ -243,20 +270,24 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 
 @inline_always
 def settle(oscillator, motion, sections, near, longest, budget):
-    """Return (verdict, PeriodicOrbit, shift, periods spent): the stable orbit to which a motion converges.
+    """Return (verdict, PeriodicOrbit, shift, periods spent) of the stable periodic orbit to which a motion converges.
+
+    sections  (K, n, 2) its states of the decoupled equations at the last instants t = k T
+    near      largest distance of a return, relative to the size of the motion
+    longest   maximum number of periods of a return
+    budget    maximum number of periods to simulate
 
     The verdict is NO_ORBIT, UNPROVED or PROVED.
 
-    PROVED: the motion converges to that stable orbit.
+    PROVED: the motion converges to the stable orbit returned.
 
-    UNPROVED: its sections recur near a stable orbit, but convergence is not proved.
+    UNPROVED: its states return near a stable orbit, but convergence is not proved.
 
     The proof has four parts. Newton's method finds a fixed point on the section t = (k + shift) T. The orbit is
     minimal: no shorter turn closes. All multipliers lie inside the unit circle. The motion is on the orbit, or so near
     that its deviation shrinks: see ``orbit.attraction``.
 
-    Sections recur if the last one has returned within ``near`` of the motion's scale, after at most ``longest``
-    periods. At most ``budget`` periods are spent.
+    States return if the last one is within ``near`` of an earlier one, see ``recurrence``.
     """
     scale = scale_of(oscillator.gap.blocks, motion.h)
     returns = recurrence(oscillator.gap.blocks, sections, near * scale, longest)
@@ -283,15 +314,15 @@ def settle(oscillator, motion, sections, near, longest, budget):
 class PeriodicOrbits(NamedTuple):
     """Periodic orbits of N cells: the fields of PeriodicOrbit needed in results, and the counts of one turn.
 
-    h          (N, n, 2) block states at t = k T, after an impact at that time
-    mode       (N, 1) numbers of the modes there
-    period     (N,) forcing periods of a turn
+    h          (N, n, 2) states of the decoupled equations at t = k T, after any impact at that time
+    mode       (N, 1) numbers of the modes there, the sets of linear equations that hold
+    period     (N,) number of forcing periods of a turn
     symmetric  (N,) mask of symmetric orbits
     exponents  (N, 2n) exponents, largest first
     error      (N,) rounding error of the exponents
     tally      (N, TALLIES) counts of one turn, see Motion
     shift      (N,) shift of the section of the proof, in periods
-    near       (N,) mask of motions that ever came near a stable orbit and left it again
+    near       (N,) mask of motions with an UNPROVED orbit at some time, see ``settle``
     """
 
     h: Array
@@ -306,7 +337,10 @@ class PeriodicOrbits(NamedTuple):
 
 
 def no_orbits(count: int, n: int) -> PeriodicOrbits:
-    """Return empty orbits of ``count`` cells of n blocks, to be filled in."""
+    """Return PeriodicOrbits of ``count`` cells to be filled in, with all numbers 0 and period 1.
+
+    n  number of blocks, the decoupled equations of motion
+    """
     return PeriodicOrbits(
         h=np.zeros((count, n, 2)),
         mode=np.full((count, 1), FLIGHT),
@@ -322,10 +356,18 @@ def no_orbits(count: int, n: int) -> PeriodicOrbits:
 
 @kernel
 def settle_cells(oscillators, motions, sections, counts, near, longest, budgets, cells, orbits, spent):
-    """Apply ``settle`` to these cells, with the last ``counts`` (N,) of the sections (N, K, n, 2) known; near (N,).
+    """Find and prove the stable periodic orbits to which these cells converge, see ``settle``.
 
-    An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest. Write the rows of
-    ``orbits`` and ``spent`` (N,) of these cells, and return the mask of cells with a proved orbit.
+    sections  (N, K, n, 2) states of the decoupled equations at the last instants t = k T
+    counts    (N,) number of these states that are known, the last ones
+    near      (N,) largest distance of a return, relative to the size of the motion
+    longest   maximum number of periods of a return
+    budgets   (N,) maximum number of periods to simulate
+    orbits    PeriodicOrbits, whose rows of these cells are written
+    spent     (N,) number of periods simulated, written
+
+    An orbit that rests on a stop and keeps no direction counts if doubles can follow it from rest to rest. Return the
+    mask of the cells with a proved orbit.
     """
     oscillators, motions, orbits = by_reference(oscillators), by_reference(motions), by_reference(orbits)
     settled = np.empty(len(cells), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""The events of a motion over some periods from a section state, as recorded by its kernels."""
+"""The events of a motion over some forcing periods from a given state, as recorded by the kernels of the solver."""
 
 from collections.abc import Iterator
 from itertools import count, islice
@@ -23,12 +23,14 @@ AT_REST = 1e-10
 class RecordedLeg(NamedTuple):
     """One leg: the motion in one mode, a set of linear equations, and the event that begins it.
 
-    time    time of the event after the first section
-    signal  signal that reaches an end of its range; -1 if the phase changes or the motion begins
-    side    end that the signal reaches, -1 or 1; 0 if the phase changes or the motion begins
-    rate    rate of the signal
-    code    mode after the event
+    time    time of the event since the start
+    signal  number of the signal that reaches an end of its range; -1 if a phase of the machine or the motion begins
+    side    end that the signal reaches, -1 or 1; 0 if a phase of the machine or the motion begins
+    rate    rate of change of the signal at the event
+    code    code of the mode after the event
     begun   (G,) for each signal of the mode, the end of its range at which it starts, 0 for none, see hybrid.events
+
+    A phase is a part of the forcing period in which the machine has constants of its own.
     """
 
     time: float
@@ -40,10 +42,10 @@ class RecordedLeg(NamedTuple):
 
 
 def record_legs(oscillators: Oscillator, state: Array, periods: int) -> list[RecordedLeg]:
-    """Return the legs of a motion of a single machine with modes, its start first.
+    """Return the legs of a motion of one machine with modes: its parts between two events, the first one first.
 
     oscillators  the machine, in a batch
-    state        (2n,) physical section state
+    state        (2n,) displacements, then velocities, at t = k T
     periods      number of periods
 
     Raise ValueError if the motion cannot be followed.
@@ -58,8 +60,8 @@ def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: A
     """Yield the legs of each period, an array (K, columns), of a motion of a single oscillator.
 
     oscillators  the oscillator, in a batch
-    state        (2n,) physical state at the start
-    number       number of the mode there
+    state        (2n,) displacements, then velocities, at the start
+    number       number of the mode there, the set of linear equations that holds
     tally        (TALLIES,) counts of a motion; evaluations are subtracted from its remaining work
 
     A leg, a row of the array, is the motion in one mode until its first event; for the columns see
@@ -78,7 +80,10 @@ def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: A
 
 
 def leg_from_row(oscillators: Oscillator, row: Array) -> RecordedLeg:
-    """Return a row of legs as a RecordedLeg, for a single oscillator in a batch."""
+    """Return the record of one leg as a RecordedLeg; ``row`` is a row of the legs of one oscillator in a batch.
+
+    A leg is the motion between two events; for the columns of the row see leg_record.LegRecord.
+    """
     machines = oscillators.table.machines
     begun = tuple(map(int, row[LEG_STATE + machines.dimension :]))
     code = code_of(int(row[LEG.number]), *machines.sizes[1:], *machines.segments)
@@ -88,9 +93,12 @@ def leg_from_row(oscillators: Oscillator, row: Array) -> RecordedLeg:
 
 
 def mode_code_of_state(elements: ContactElements, z: Array) -> ModeCode:
-    """Return the mode, the set of equations that holds, of a physical state z (2n,) of one machine in its first phase.
+    """Return the code of the mode in which a machine starts at a state z (2n,), displacements and then velocities.
 
-    A state that rests or sticks up to rounding counts as resting or sticking.
+    elements  contacts and frictions of one machine, in a batch
+
+    The mode, the set of equations that holds, is one of the machine's first phase, a part of the forcing period. A
+    state that rests or sticks up to rounding counts as resting or sticking.
     """
     n = len(z) // 2
     x, v = z[:n], z[n:]
@@ -113,16 +121,20 @@ def mode_code_of_state(elements: ContactElements, z: Array) -> ModeCode:
 
 
 def _segment(starts: Array, at: float) -> int:
-    """Return the index of the segment of a law at an argument, for segments that begin at ``starts`` (S,)."""
+    """Return the index of the segment of a piecewise linear law that has the argument ``at``.
+
+    starts  (S,) arguments at which the segments begin, ascending
+    """
     return max(0, int(np.sum(starts < at)) - 1)
 
 
 def _one_period(
     oscillators: Oscillator, table: ModeTable, state: Array, number: int
 ) -> tuple[Array, Array, int, float]:
-    """Return the legs of one period, the state and mode after it, and the number of evaluations.
+    """Advance a motion of one oscillator by a period, from a state (2n,) in the mode of this number.
 
-    Modes missing from the ``table`` are built.
+    Return the legs of the period, the parts between two events; the state and the mode's number after it; and the
+    number of evaluations. A mode is a set of linear equations. Modes missing from the ``table`` are built.
     """
     legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
     W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))

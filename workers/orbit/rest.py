@@ -1,4 +1,4 @@
-"""Motion of one mass from rest to rest: it depends only on the release, and so repeats."""
+"""Motion of one mass that comes to rest on a stop: it depends only on the release from the stop, and so repeats."""
 
 import numpy as np
 
@@ -27,9 +27,9 @@ RELEASES = 16
 def pass_period(oscillator, motion, rests):
     """Advance a motion by a period, in place.
 
-    Return two truth values: the mass rests on the stop at the end of the period; the section there is the first after a
-    rest. ``rests`` is True if the motion rested before. At a section after a rest the tangent vectors are reset to the
-    block axes.
+    Return two truth values. The first is True if the mass rests on the stop at the end of the period. The second is
+    True if the mass was released, for the first time after a rest, in the period. ``rests`` is True if the motion
+    rested before. After a release the tangent vectors are reset to unit vectors.
     """
     motion.tally[LOST] = 0.0
     advance(oscillator, motion)
@@ -42,7 +42,13 @@ def pass_period(oscillator, motion, rests):
 
 @inline_always
 def is_followed(oscillator, h, mode, periods):
-    """Return True if disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
+    """Return True if doubles can follow an orbit that comes to rest on a stop from a release to the next rest.
+
+    h, mode  (n, 2) state of the decoupled equations and number of the mode (set of linear equations) on the orbit
+    periods  period of the orbit
+
+    Disturbances at a release must grow less than FOLLOWED times until the next rest.
+    """
     motion = motion_with(h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
     rests = begun = False
     for _ in range(2 * periods):
@@ -55,16 +61,16 @@ def is_followed(oscillator, h, mode, periods):
 
 @kernel
 def rest_to_rest(oscillators, motions, cells, sections, counts):
-    """Advance these motions of one mass, in place, to a section after a release that repeats an earlier one.
+    """Advance these motions of one mass, in place, until the mass is released from a stop as it was released before.
 
     oscillators  N machines
-    motions      their motions
+    motions      batch of their motions
     cells        rows of the motions to advance
-    sections     (N, K, n, 2) written: states between the two releases, at the end of each row
+    sections     (N, K, n, 2) written: states at t = k T between the two releases, at the end of each row
     counts       (N,) written: number of these states
 
-    ``counts`` is 0 if a motion does not reach such a section in K - 1 periods. It is also 0 if a disturbance grows
-    FOLLOWED times on the way, so that doubles cannot decide. Return the number of periods flown (N,).
+    ``counts`` is 0 if a motion does not repeat a release in K - 1 periods. It is also 0 if a disturbance grows FOLLOWED
+    times on the way, so that doubles cannot decide. Return the number of periods flown (N,).
     """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     flown = np.zeros(len(sections), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The section of an orbit's proof: t = (k + shift) T, near which the motion meets no stop and leaves none.
+"""The section of an orbit's proof: instants t = (k + shift) T, near which the motion meets no stop and leaves none.
 
 Results refer to the section t = k T. An orbit may impact there, as many closed forms do. Rounding then decides, in each
 turn, whether the impact comes before or after the section, and the map is not smooth. Period, impacts and multipliers
@@ -28,13 +28,19 @@ PAST_SECTION = 1e-12
 
 @inline_always
 def seen_later(oscillator, shift):
-    """Return the oscillator as seen from the section t = shift T; with modes from t = 0, where its phases begin."""
+    """Return the oscillator as seen from the instants t = (k + shift) T: its forcing phase is moved by shift.
+
+    For machines whose law changes by more than one rigid contact ``shift`` is 0, see quiet_section.
+    """
     return with_phase(oscillator, oscillator.tau + 2.0 * math.pi * shift)
 
 
 @kernel
 def motion_after(oscillator, h, mode, shift):
-    """Return the motion from block state h (n, 2) after ``shift`` < 1 periods."""
+    """Return the motion after ``shift`` < 1 periods, from state h (n, 2) in the mode of this number.
+
+    The mode is the set of linear equations of motion that holds, and h the state of its decoupled equations.
+    """
     motion = motion_alone(h, mode)
     propagate(oscillator, motion, shift * oscillator.head[HEAD.period])
     return motion
@@ -42,9 +48,10 @@ def motion_after(oscillator, h, mode, shift):
 
 @kernel
 def quiet_section(oscillator, h, mode):
-    """Return (shift, h (n, 2), mode, periods flown): a section t = (k + shift) T without events of the motion nearby.
+    """Return instants t = (k + shift) T near which the motion has no events, as (shift, h, mode, periods flown).
 
-    The block state given is that at t = 0, the one returned that at t = shift T; with modes both are at t = 0.
+    The arguments h (n, 2) and mode are state of the decoupled equations and number of the mode (set of linear
+    equations) at t = 0, the results those at t = shift T. For machines with modes the shift is 0.
     """
     if has_modes(oscillator):
         return 0.0, h.copy(), mode, 0
@@ -65,9 +72,10 @@ def quiet_section(oscillator, h, mode):
 
 @inline_always
 def back_at_section(oscillator, shift, h, mode):
-    """Return the motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
+    """Return the motion at the next instant t = k T, from state h (n, 2) at t = (k - 1 + shift) T.
 
-    An impact at that section counts as past, also if rounding delays it by up to PAST_SECTION T.
+    h is the state of the decoupled equations of motion. An impact at the end counts as past, also if rounding delays it
+    by up to PAST_SECTION T.
     """
     motion = motion_after(seen_later(oscillator, shift), h, mode, 1.0 - shift)
     after = motion_after(oscillator, motion.h, motion.mode[0], PAST_SECTION)

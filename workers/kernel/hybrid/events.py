@@ -1,12 +1,15 @@
-"""Events of a machine with modes, where a guard falls to zero: the reset map, and the mode that follows.
+"""Events of a machine, the jump of the state there, and the law of motion that follows.
+
+A mode is one set of linear equations of motion. It ends where a signal of the state, its guard, reaches an end of its
+range. The reset map is the jump of the state there.
 
 An event at guard r, reached at the rate r', takes a tangent vector w to
 
     S w = R w + (f+ - R f-) (r . w) / r',
 
-with f the right-hand sides before and after the event and R the linear part of the reset map. ``signal_starts`` holds,
-for each signal, the end of its range at which it starts in the next mode. The modulus is the order of its first nonzero
-derivative there, see crossing.next_crossing.
+with f- and f+ the right-hand sides before and after the event and R the linear part of the reset map. ``signal_starts``
+holds, for each signal, the end of its range at which it starts in the next mode. The modulus is the order of its first
+nonzero derivative there, see crossing.next_crossing.
 """
 
 import numpy as np
@@ -46,7 +49,7 @@ def mode_of(table, states, slips, phase_index):
     table        the modes built so far
     states (C,)  state of each contact
     slips (F,)   state of each friction: 0 while it sticks, else the sign of the slip
-    phase_index  phase of the machine
+    phase_index  phase of the machine, a part of the forcing period with constants of its own
 
     A mode is one set of linear equations between two events. Its number encodes phase, contacts and slips, see
     ``hybrid_modes.ModeCode``. Its slot is its index in the table. The slot is negative if the mode cannot be used:
@@ -63,10 +66,10 @@ def mode_of(table, states, slips, phase_index):
 def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts):
     """Return the slot and the number of the mode in which a motion continues after its state has jumped.
 
-    A jump may leave signals beyond their ranges. Friction then begins to slip and contacts that are pushed engage, one
-    at a time, until all signals are in range. The states (C,) of contacts, the slips (F,) of frictions and
-    ``signal_starts`` (G,) change in place. The slot is the index of the mode in the table, or a negative code, see
-    ``mode_of``.
+    A mode is one set of linear equations; a signal at an end of its range ends it. A jump may leave signals beyond
+    their ranges. Friction then begins to slip and contacts that are pushed engage, one at a time, until all signals are
+    in range. The states (C,) of contacts, the slips (F,) of frictions and ``signal_starts`` (G,) change in place. The
+    slot is the index of the mode in the table, or a negative code, see ``mode_of``.
     """
     number = np.int64(0)
     for _ in range(CHANGES * (len(states) + len(slips) + 1)):
@@ -80,9 +83,10 @@ def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts)
 
 @inlined
 def follow_one(modes, elements, k, phase_index, states, slips, z, harmonics, signal_starts):
-    """Change the contact or friction of the first signal of mode k that is beyond its range.
+    """Find the first signal of mode k that is beyond its range, and change the state of its contact or friction.
 
-    Return True if there was such a signal. A mode is one set of linear equations between two events.
+    Return True if a signal is beyond its range. States (C,), slips (F,) and ``signal_starts`` (G,) change in place. A
+    mode is one set of linear equations between two events.
     """
     C, ends = len(states), modes.ends[k]
     for g in range(SIGNALS * C + len(slips)):
@@ -114,7 +118,13 @@ def follow_one(modes, elements, k, phase_index, states, slips, z, harmonics, sig
 
 @inlined
 def release(elements, g, c, phase_index, states, slips, signal_starts, order):
-    """Release a rigid stop; ``order`` is the order of the first nonzero derivative of y after the release.
+    """Release contact c from its rigid stop: its state becomes OPEN, in place.
+
+    g              signal of the contact
+    phase_index    phase of the machine, a part of the forcing period with constants of its own
+    states, slips  states of contacts and frictions
+    signal_starts  start of each signal, see the head of this module
+    order          order of the first nonzero derivative of the gap coordinate after the release
 
     Friction that also held the mass slides. Its force jumps if the static level is above the kinetic one.
     """
@@ -131,24 +141,25 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
 
 @inlined
 def go_on(signal_starts, g, side):
-    """Let signal g begin at this end of its range, with the rate of the signal just left; nothing jumps.
+    """Let signal g begin the next mode at the end ``side`` of its range, with the rate that it has now; nothing jumps.
 
-    The start is written to ``signal_starts``. If the signal also left the mode before it in no time, rounding hides its
-    derivatives and the start is UNCLEAR. Otherwise a signal at rest on its end would change the mode for ever.
+    A mode is a set of linear equations, and a signal at an end of its range ends it. The start is written to
+    ``signal_starts``. If the signal also left the mode before it in no time, rounding hides its derivatives and the
+    start is UNCLEAR. Otherwise a signal at rest on its end would change the mode for ever.
     """
     signal_starts[g] = side * (UNCLEAR if signal_starts[g] * side < 0 else 1)
 
 
 @kernel
 def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmonics, signal_starts):
-    """Pass an event of friction e: begin of a slip, end of a slide, or another segment of the law.
+    """Carry a motion through an event of friction e: begin of a slip, end of a slide, or another segment of the law.
 
-    g, side    the signal of the friction and the end of its range
+    g, side    the signal of the friction, and the end of its range that is reached
     z (2n,)    physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
 
     Friction that stops sliding sticks if it can, else it slides the other way. Nothing jumps between segments. Return
-    the slot and the number of the mode with sticking friction, see ``mode_of``. A negative slot means that this mode
-    must be built before the event can be decided.
+    index and number of the mode with sticking friction, see ``mode_of``; a mode is a set of linear equations. A
+    negative index means that the mode must be built before the event can be decided.
     """
     elements, sign = table.elements, 1 if slips[e] > 0 else -1
     if slips[e] != 0 and (slips[e] != sign or side == sign):  # the next or the previous segment of a law
@@ -183,15 +194,21 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
 
 @inlined
 def other_push(state):
-    """Return the other of the two states of a soft contact: pushing and detached."""
+    """Return the opposite state of a soft contact that can only push: pushing becomes detached, and detached pushing.
+
+    In segments of a law, odd numbers push, see hybrid_modes.ON.
+    """
     return state + (1 if state > 0 else -1) * (1 if state % 2 != 0 else -1)
 
 
 @inlined
 def soft_event(g, c, side, states, signal_starts):
-    """Pass an event of a soft contact, at which nothing jumps.
+    """Change the state of soft contact c in ``states``, in place, at an event of the contact; nothing jumps.
 
-    The contact engages or opens, enters another segment, or begins or ceases to push.
+    g, side        signal that is reached, and the end of its range
+    signal_starts  start of each signal, see the head of this module
+
+    The contact engages or opens, enters another segment of its law, or begins or ceases to push.
     """
     state = states[c]
     go_on(signal_starts, g, -side)
@@ -207,12 +224,14 @@ def soft_event(g, c, side, states, signal_starts):
 
 @kernel
 def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, phase, harmonics, signal_starts):
-    """Pass an impact on a rigid contact and return its outcome and the remaining time of a chatter.
+    """Carry a motion through an impact on a rigid contact.
 
-    k, g         mode before the impact, and its signal that reached the stop
+    Return the outcome, and the remaining time if the impact is one of a chatter.
+
+    k, g         index of the mode (set of linear equations) before the impact, and its signal that reached the stop
     c, side      the contact and the side of its stop
-    rate         rate of y
-    h (n, 2)     block state
+    rate         velocity of the gap coordinate y
+    h (n, 2)     block state, (h, h') of each decoupled equation of the mode
     z (2n,)      physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
     harmonics    (H, 2) of the force, see state.harmonics_at
 
@@ -254,9 +273,9 @@ def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, p
 
 @kernel
 def load_away(table, c, side, load, states, slips, phase_index, z, harmonics):
-    """Return the load on stop ``side`` while the mass moves away from the stop.
+    """Return the acceleration toward stop ``side`` of contact c while the mass moves away from the stop in a hop.
 
-    It differs from ``load`` if friction turns at each hop.
+    It differs from ``load``, that of the mass moving toward the stop, if friction turns at each hop.
     """
     n, kick, turned = len(z) // 2, table.elements.kick[c], slips.copy()
     for e in range(len(slips)):
@@ -275,9 +294,10 @@ def load_away(table, c, side, load, states, slips, phase_index, z, harmonics):
 
 @kernel
 def uneven_chatter(away, back, w, R):
-    """Return the duration of chatter after a rebound at speed w, if the loads on both halves of a hop differ.
+    """Return the duration of chatter after a rebound at speed w, if the accelerations on both halves of a hop differ.
 
-    away, back  load on the stop while the mass moves away from the stop, and back to it
+    away, back  acceleration toward the stop while the mass moves away from the stop, and back to it
+    R           coefficient of restitution
 
     Hops last w / away + w / sqrt(away back); the speed ratio of successive hops is R sqrt(back / away).
     """
@@ -287,7 +307,10 @@ def uneven_chatter(away, back, w, R):
 
 @kernel
 def strikes_while_held(elements, c, states):
-    """Return True if an impact on rigid contact c moves another sticking contact: two impacts at once."""
+    """Return True if an impact on contact c also moves another contact that rests on a rigid stop.
+
+    These are two impacts at once. ``states`` (C,) are the states of the contacts.
+    """
     if elements.soft[c] > 0.0 or states[c] != OPEN:
         return False
     for other in range(len(states)):

@@ -1,8 +1,8 @@
 """Measures of a motion: means, squares and extremes of outputs, contacts, sticking, and energy losses.
 
-The loop of ``hybrid/motion.py`` records the legs of each period. On a leg every output is a sum of exponentials and
-harmonics. Integrals of the output and of its square are sums over Gauss points close enough to be exact to rounding.
-Extremes are at the ends or at turning points, which the certified search finds.
+The loop of ``hybrid/motion.py`` records the legs of each period; a leg is the motion between two events. On a leg every
+output is a sum of exponentials and harmonics. Integrals of the output and of its square are sums over Gauss points
+close enough to be exact to rounding. Extremes are at the ends or at turning points, which the certified search finds.
 """
 
 import math
@@ -44,9 +44,11 @@ AROUND = 1e-9
 
 
 class MeasurePlan(NamedTuple):
-    """Quantities to measure of N machines with n coordinates, P phases, C contacts and F frictions.
+    """What to measure of N machines with n coordinates, P phases, C contacts and F frictions.
 
-    rows               (N, M, n)       weights of each output
+    A phase is a part of the forcing period in which the machine has constants of its own.
+
+    rows               (N, M, n)       weights of each output on the coordinates
     orders             (N, M)          order of the derivative of the displacements on which the weights act
     peaks              (N, M)          1 to measure extremes of the output, else 0
     damping            (N, P, n, n)    damping matrices
@@ -82,7 +84,7 @@ class MeasureTotals(NamedTuple):
     stuck    (N, F)       time for which the friction sticks
     rubbed   (N, F)       energy that the friction has taken
     damped   (N, 1)       energy that the dampers have taken
-    halves   (N, 2, 2n)   states EARLY after the section, and half of all periods later, of an odd number of them
+    halves   (N, 2, 2n)   states EARLY after the start and half of all periods later, for an odd number of periods
     """
 
     first: Array
@@ -103,13 +105,17 @@ class MeasureTotals(NamedTuple):
 
 @kernel
 def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s, tally):
-    """Add the integrals over a flight of duration s in mode k.
+    """Add integrals over a flight of duration s in mode k, one set of linear equations, to ``reading`` in place.
 
-    meter, reading  MeasurePlan and MeasureTotals of one machine
-    phase_index     phase of the machine
-    states, slips   of contacts and of friction in the mode
-    h (n, 2)        block state at the start
+    The integrals are those of each output, of its square, and of the powers of dampers and of friction.
+
+    table           ModeTable of the machine
+    meter, reading  MeasurePlan and MeasureTotals of the machine
+    phase_index     phase of the machine, a part of the forcing period with constants of its own
+    states, slips   states of contacts and of friction in the mode
+    h (n, 2)        block state at the start, (h, h') of each decoupled equation
     phase           forcing phase at the start
+    tally           counts of the motion, changed in place
     """
     pieces, elements = table.pieces, table.elements
     blocks, n = pieces.blocks[k, 0], len(h)
@@ -154,14 +160,13 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
 
 @kernel
 def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
-    """Take the hops that end a chatter out of the sticking times that a leg has added, in place.
+    """Correct the measures of the motion between two events if it begins with the last hops of a chatter, in place.
 
-    In that time the mass flies in mode ``before``, with another acceleration than in mode k, which is integrated by
-    Simpson's rule. An extreme lies at the end, or at the rebound from the impact at this rate, with which sticking
-    begins.
-
-    The hops start at block state h (n, 2) and last for ``chatter``. The sticking time is that of contact c and of
-    friction.
+    The measures in ``reading`` are as if the mass had rested on the stop from the start. The hops start at state h (n,
+    2) of the decoupled equations and last for ``chatter``. Their time is taken from the sticking times of contact c and
+    of friction. While it hops, the mass flies in mode ``before``, with another acceleration than in mode k (a set of
+    linear equations). The difference is integrated by Simpson's rule. An extreme lies at the end, or at the rebound
+    from the impact at the velocity ``rate``, with which sticking begins.
     """
     n, along = len(h), elements.along
     reading.touching[c] -= chatter
@@ -192,11 +197,17 @@ def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h
 
 @kernel
 def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, h, phase, s, tally):
-    """Add the readings of an engaged or detached contact on a leg from z to ``end``, except those of its damper.
+    """Add the measures of a contact that is not open on a leg, from state z to ``end``, to ``reading`` in place.
 
-    c, side, state  the contact, the side of its stop, and its state without that side's sign
-    h (n, 2)        block state at the start
+    The loss of its damper is not included.
+
+    phase_index     phase of the machine, a part of the forcing period with constants of its own
+    c, side, state  the contact, the side of its stop, and its state without that side's sign, see hybrid_modes.ON
+    h (n, 2)        state of the decoupled equations at the start
+    phase           forcing phase at the start
     s               duration of the leg
+
+    A leg is the motion between two events, in one mode k, a set of linear equations.
     """
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
     n, pushes = len(row), state % 2 != 0
@@ -228,9 +239,10 @@ def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, 
 
 @kernel
 def read_impact(elements, reading, c, end, following, counts):
-    """Add an impact on contact c, from state ``end`` (2n,) to state ``following`` (2n,), to ``reading`` in place.
+    """Count an impact on contact c, and the energy that the contact takes, in ``reading`` in place.
 
-    The number of impacts and the energy that the contact takes are counted.
+    end, following  (2n,) states before and after the impact
+    counts          False for an impact at the start of an orbit's turn, which counts at the end of the turn
     """
     n = len(end) // 2
     before, after = product(elements.row[c], end, n), product(elements.row[c], following, n)
@@ -251,9 +263,13 @@ def read_impact(elements, reading, c, end, following, counts):
 def read_leg(table, meter, reading, before, leg, signal, following, begins, marks, flies, tally):
     """Add what is measured on one leg, the motion in one mode between two events, to ``reading`` in place.
 
+    A mode is a set of linear equations.
+
+    table           ModeTable of the machine
+    meter, reading  MeasurePlan and MeasureTotals of the machine
     before          mode of the previous leg
     leg             row of legs, see leg_record.LegRecord
-    signal          signal that ends the leg, -1 for none
+    signal          number of the signal whose event ends the leg, -1 for none
     following (2n,) state at the start of the next leg
     begins          time before which events do not count
     marks     (2,)  times at which to record the states of ``halves``, NaN for none in this period
@@ -315,11 +331,13 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
 def record_period(table, z, code, tally, duration):
     """Advance a motion by ``duration``, at most a period, and return its state, mode number, legs and contacts.
 
-    z    (2n,)  physical state at the start
-    code (1,)   number of its mode
+    table       ModeTable of the machine
+    z    (2n,)  displacements, then velocities, at the start; not changed
+    code (1,)   number of the mode at the start, the set of linear equations that holds; not changed
+    tally       counts of the motion, changed in place
 
-    The legs, one row for each stay in a mode, and the contacts are those of ``through_modes``, without gaps. The tally,
-    the counts of the motion, changes in place. If a mode is not built yet, there are no legs.
+    The legs, one row for each stay in a mode, and the contacts are those of ``through_modes``, with room for all. If a
+    mode is not built yet, there are no legs.
     """
     size, room = len(z), LEGS
     flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
@@ -341,9 +359,10 @@ def record_period(table, z, code, tally, duration):
 
 @kernel
 def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
-    """Add what is measured on ``legs`` to ``reading``; the last leg ends in the state ``end`` (2n,).
+    """Add what is measured on ``legs`` to ``reading`` in place; the last leg ends in the state ``end`` (2n,).
 
-    A leg is the motion in one mode, from one event to the next. See ``read_leg``.
+    legs (K, columns) are the parts of a motion between two events, see LegRecord. For the other arguments see
+    ``read_leg``.
     """
     before = np.int64(-1)  # typed: a literal would compile the callees once more
     for i in range(len(legs)):
@@ -356,7 +375,7 @@ def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
 
 @kernel
 def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
-    """Advance a motion by ``duration``, at most a period, and add what is measured on its legs to ``reading``.
+    """Advance a motion by ``duration``, at most a period, and add what is measured to ``reading``.
 
     State z (2n,) and the number of its mode in code (1,) change in place; see ``read_leg``. If a mode (a set of linear
     equations) is not built yet, the motion stays unchanged and nothing is added.
@@ -371,16 +390,18 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
 
 @kernel
 def read_motions(oscillators, meters, readings, states, codes, completed, periods, closes, allowance, cells):
-    """Advance motions by their remaining periods, add their readings to ``readings``, and return the status of each.
+    """Advance motions by their remaining periods, add what is measured to ``readings``, and return the status (N,).
 
-    states    (N, 2n)  physical states, changed in place
-    codes     (N, 1)   numbers of their modes, changed in place
+    oscillators        batch of machines
+    meters, readings   MeasurePlan and MeasureTotals of the machines
+    states    (N, 2n)  displacements, then velocities, changed in place
+    codes     (N, 1)   numbers of their modes, the sets of linear equations that hold, changed in place
     completed (N,)     number of periods completed, of ``periods`` (N,); changed in place
-    closes    (N,)     1 if the periods are one turn of an orbit, where an impact at the section counts once
+    closes    (N,)     1 if the periods are one turn of an orbit, where an impact at its ends counts once
     allowance (N,)     number of evaluations allowed, changed in place
     cells              rows to advance, of machines with modes
 
-    A motion that misses a mode continues at the next call.
+    If a mode is not built yet, the motion continues at the next call.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:

@@ -1,6 +1,7 @@
-"""The loop that moves a machine with modes: solve one mode, find its first guard, apply the reset map, change the mode.
+"""The loop that moves a machine with modes: solve one mode, find its first event, jump there, change the mode.
 
-A mode is one set of linear equations; a guard is a signal whose end is an event; a reset map is the jump there.
+A mode is one set of linear equations of motion. It ends at an event, where a signal of the state, its guard, reaches an
+end of its range. The jump of the state there is called the reset map.
 """
 
 import numpy as np
@@ -28,9 +29,12 @@ from workers.model.oscillator import HEAD, GuardedFlow
 
 @kernel
 def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
-    """Return (time, signal, side) of the first guard of mode k reached in [0, H]; signal -1 if none is reached.
+    """Return time, signal and side of the first event in [0, H] of a flight in mode k, one set of linear equations.
 
-    h       (n, 2)        block state at the start
+    An event is a signal at an end of its range: side +1 for the upper end, -1 for the lower. Without an event the
+    signal is -1 and the time H.
+
+    h       (n, 2)        block state at the start, (h, h') of each decoupled equation
     phase                 forcing phase at the start
     signal_starts (G,)    start of each signal, see ``events.py``
     scratch (n, 2)        overwritten
@@ -57,10 +61,12 @@ def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
     result=types.boolean, modes=True,
 )  # fmt: skip
 def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
-    """Move machine r to the first event of its present leg, the motion in one mode, and end the leg there.
+    """Advance machine r to its next event, the end of its current leg, and through the event.
 
-    Return True if the trajectory is over. Return False if it continues, or if it cannot be followed. For the arguments
-    see ``through_modes``.
+    trajs, slot  batch of trajectories, and the row of the machine's trajectory
+
+    A leg is the motion between two events. Return True if the trajectory is over. Return False if it continues, or if
+    it cannot be followed. For the other arguments see ``through_modes``.
     """
     table, trip = row_in(tables, r), row_in(trajs, slot)
     k, phase, H = trip.indices[INDEX.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
@@ -72,9 +78,10 @@ def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
 
 @kernel
 def through_modes(table, z, W, code, growth, triangle, tally, contacts, legs, duration):
-    """Advance a physical state z (2n,) and tangent vectors W (m, 2n) from a section by ``duration`` <= one period.
+    """Advance a state z (2n,) and tangent vectors W (m, 2n) from a section, t = k T, by ``duration`` <= one period.
 
-    All of these change in place:
+    z has displacements, then velocities. A mode is one set of linear equations, and a leg the motion in one mode
+    between two events. All of these change in place, besides z and W:
 
     code (1,)                     number of the mode
     growth (m,), triangle         see tangent.orthonormalise; empty for vectors that stay as they are
@@ -91,9 +98,9 @@ def through_modes(table, z, W, code, growth, triangle, tally, contacts, legs, du
 
 @kernel
 def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, legs, duration):
-    """Apply ``through_modes`` with work arrays ``trajs``.
+    """Apply ``through_modes``, the advance of a state through its events, with work arrays ``trajs``.
 
-    This is a kernel of its own, since references live as long as the function that created them.
+    It is a kernel of its own, since references live as long as the function that created them.
     """
     trajs = by_reference(trajs)
     trip = row_in(trajs, 0)
@@ -112,7 +119,7 @@ def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, le
 
 @external(TABLES, TRIPS, types.int64, FLOATS[2], FLOATS[2], types.float64, result=types.int64, modes=True)
 def go_through(tables, trajs, number, contacts, legs, duration):
-    """Advance a single trajectory from a section, beginning in the mode of this number.
+    """Advance the only trajectory of a batch from a section, t = k T, beginning in the mode of this number.
 
     Return the number of its last mode; a mode is one set of linear equations. For the other arguments see
     ``through_modes``.
@@ -132,9 +139,10 @@ def go_through(tables, trajs, number, contacts, legs, duration):
 
 @kernel
 def load_motion(to_physical, motion, traj, more):
-    """Copy a motion at a section into a trajectory: physical state, tangent vectors and counts.
+    """Copy a motion at a section, t = k T, into a trajectory: state, tangent vectors and counts.
 
-    ``more`` is 1 if the drift direction precedes all other vectors, with growth 0. Components along it only change the
+    State and vectors become physical, displacements and velocities. ``more`` is 1 if the direction of a drifting
+    coordinate precedes all other vectors, with growth 0, else 0. Components along this direction only change the
     position and do not count. As the first vector of the frame it is removed from all others, however short they
     become.
     """
@@ -159,7 +167,11 @@ def load_motion(to_physical, motion, traj, more):
 
 @kernel
 def store_motion(to_blocks, omega, motion, traj, more, resets):
-    """Copy the end of a trajectory back into its motion; with ``resets`` a drifting coordinate is reset to 0."""
+    """Copy the end of a trajectory back into its motion, as states of the decoupled equations; undo ``load_motion``.
+
+    omega   forcing frequency
+    resets  True to reset a drifting coordinate to 0
+    """
     size, V, h = len(traj.z), motion.V, traj.h
     for i in range(size):
         h[i // 2, i % 2] = product(to_blocks[i], traj.z, 0)
@@ -180,9 +192,9 @@ def store_motion(to_blocks, omega, motion, traj, more, resets):
 
 @kernel
 def take_on(oscillator, motion, trajs, more, duration):
-    """Apply ``through_events`` with work arrays ``trajs``.
+    """Apply ``through_events``, the advance of a motion, with work arrays ``trajs`` for one trajectory.
 
-    This is a kernel of its own, since references live as long as the function that created them.
+    It is a kernel of its own, since references live as long as the function that created them.
     """
     tables, motion, trajs = as_many(oscillator.table), row_in(as_many(motion), 0), by_reference(trajs)
     table, trip = row_in(tables, 0), row_in(trajs, 0)
@@ -199,8 +211,8 @@ def take_on(oscillator, motion, trajs, more, duration):
 def through_events(oscillator, motion, duration):
     """Advance a motion of a machine with modes by ``duration``, in place, through all its events.
 
-    This is ``period.propagate`` for such machines. If a mode, a set of linear equations, is not built yet, the motion
-    stays unchanged.
+    This is ``period.propagate`` for a machine with modes: sets of linear equations that hold between two events. If a
+    mode is not built yet, the motion stays unchanged.
     """
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if oscillator.table.drifts > 0.0 and framed else 0

@@ -1,4 +1,7 @@
-"""Neutral directions: a coordinate that drifts, and the position of friction that sticks for good."""
+"""Neutral directions, in which neighbouring motions neither approach nor separate.
+
+Two cases are treated: a coordinate that drifts, and the position of friction that sticks for good.
+"""
 
 import numpy as np
 
@@ -11,9 +14,14 @@ from workers.model.hybrid_modes import ON
 
 @inline_always
 def remove_held_motion(elements, states, lost, V):
-    """Remove from tangent vectors V (m, n, 2) the motion of sticking coordinates: neighbouring motions also stop.
+    """Remove the motion of coordinates that stick from tangent vectors V (m, n, 2), in place: neighbours stick too.
 
-    The last blocks are those of coordinates that stick on a stop, then of sticking friction, see ``hybrid_modes``.
+    elements    contacts and frictions of the machine
+    states (C,) states of the contacts
+    lost        number of dimensions that the mode (set of linear equations) lacks, since coordinates stick
+
+    The last blocks, decoupled equations, are those of coordinates that stick on a stop, then of sticking friction, see
+    ``hybrid_modes``.
     """
     count = 0
     for c in range(len(states)):
@@ -29,7 +37,10 @@ def remove_held_motion(elements, states, lost, V):
 
 @inline_always
 def record_slips(slips, tally):
-    """Record which frictions slide, as binary digits: 2^e for friction e."""
+    """Record which frictions slide in the counts ``tally`` of a motion, as binary digits: 2^e for friction e.
+
+    ``slips`` (F,) is not 0 for a friction that slides.
+    """
     slid = int(tally[SLID])
     for e in range(len(slips)):
         if slips[e] != 0:
@@ -39,9 +50,10 @@ def record_slips(slips, tally):
 
 @external(OSCILLATOR, MOTION, modes=True)
 def freeze(oscillator, motion):
-    """Remove from all tangent vectors the position of friction that has never slid, which is a parameter of the motion.
+    """Remove from the tangent vectors of a motion, in place, the position of friction that has never slid.
 
-    Such friction could stick anywhere nearby. The direction is neutral, with multiplier 1, and counts as lost.
+    This position is a parameter of the motion, since such friction could stick anywhere nearby. The direction is
+    neutral, with multiplier 1, and counts as lost.
     """
     table, elements = oscillator.table, oscillator.table.elements
     n, m = motion.h.shape[0], motion.V.shape[0]
@@ -76,7 +88,10 @@ def freeze(oscillator, motion):
 
 @inline_always
 def rests_on_stop(elements, e, states):
-    """Return True if friction e sticks on the row of a sticking rigid contact, which then holds its coordinate."""
+    """Return True if friction e sticks along a coordinate that also rests on a rigid stop, which then holds it.
+
+    ``states`` (C,) are the states of the contacts.
+    """
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0 and elements.along[e, c] != 0.0:
             return True
@@ -85,9 +100,13 @@ def rests_on_stop(elements, e, states):
 
 @inline_always
 def count_progress(motion, h, omega):
-    """Reset the drifting coordinate of a motion to 0 and add its progress to the counts.
+    """Add the advance of the drifting coordinate over a period to a motion's counts, and reset the coordinate to 0.
 
-    A period has taken the motion to block state h (n, 2). For the drift see Oscillator.
+    motion  motion at the start of the period; counts and tangent vectors change
+    h       (n, 2) state of the decoupled equations at its end, changed in place
+    omega   forcing frequency
+
+    For the drift see Oscillator.
     """
     last = h.shape[0] - 1
     motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega

@@ -1,4 +1,4 @@
-"""Outputs of a mode: extremes, and step lengths for exact Gauss integration.
+"""Outputs of a motion: their extremes, and step lengths with which Gauss integration is exact to rounding.
 
 An output is a displacement, velocity or acceleration to be measured. In a mode, a set of linear equations, it is a sum
 of exponentials and harmonics.
@@ -34,12 +34,13 @@ POSITION, RATE, ACCELERATION = range(3)
 
 @kernel
 def longest_panel(blocks, top, since):
-    """Return the longest step on which Gauss integration of a squared output is exact to rounding; see REACH.
+    """Return the longest step of Gauss integration on which the integral of a squared output is exact to rounding.
 
-    top  greatest forcing frequency
+    blocks  decoupled equations of the mode, the set of linear equations that holds
+    top     greatest forcing frequency
+    since   time from the start of the motion in the mode to the start of the step
 
-    The step begins a time ``since`` after the start of a leg, the motion in one mode. ``blocks`` are the decoupled
-    equations of the mode. An exponential of rate r and decay rate q has decayed by e^(-q since).
+    An exponential e^(r s) with decay rate q has decayed by e^(-q since), which allows a longer step. See REACH.
     """
     longest = REACH / top
     for j in range(len(blocks)):
@@ -55,8 +56,9 @@ def longest_panel(blocks, top, since):
 
 @kernel
 def mode_with(modes, k, row, direct):
-    """Return mode k with an output as its guard, and the output with blocks at equilibrium, without forced response.
+    """Return mode k with an output as its signal, and the output at equilibrium without forced response.
 
+    modes, k        table of modes (sets of linear equations), and the index of the mode in it
     row    (2n + 1,)  the output as a row on (x, v, 1)
     direct (H, 2)     contribution of the force to the output
     """
@@ -84,10 +86,12 @@ def mode_with(modes, k, row, direct):
 
 @kernel
 def output_row(modes, k, row, order):
-    """Return an output of mode k as a row (2n + 1,) on (x, v, 1), and the contribution (H, 2) of the force to it.
+    """Return an output in mode k as a row (2n + 1,) on (x, v, 1), and what the force adds to the output (H, 2).
 
-    row   (n,)  weights of the output
-    order       derivative of the displacements on which they act
+    row   (n,)  weights of the output on the displacements x, or on their derivatives
+    order       order of the derivative: 0 for x, 1 for v, 2 for the acceleration
+
+    The mode, a set of linear equations, decides the acceleration.
     """
     n = len(row)
     full, direct = np.zeros(2 * n + 1), np.zeros(modes.direct.shape[2:])
@@ -105,9 +109,14 @@ def output_row(modes, k, row, order):
 
 @kernel
 def extremes(modes, k, row, direct, h, phase, s, tally):
-    """Return the least and the greatest value of an output in a flight of duration s from block state h (n, 2).
+    """Return the least and the greatest value of an output in a flight of duration s in mode k.
+
+    A mode is a set of linear equations of motion.
 
     row, direct  the output, see ``mode_with``
+    h (n, 2)     block state at the start, (h, h') of each decoupled equation
+    phase        forcing phase at the start
+    tally        counts of the motion, changed in place
 
     The output counts as constant if a bound of its rate limits its change to LEVEL.
     """

@@ -1,4 +1,7 @@
-"""States of a machine with modes, physical z = (x, v) and in blocks within one mode; guards and their rates.
+"""States of a machine with modes in physical and in block coordinates, and signals of the states.
+
+A mode is one set of linear equations of motion, decoupled into blocks h'' + 2 eta h' + lam h = load. A physical state
+is z = (x, v), displacements and velocities; a block state is (h, h') of each block.
 
 Where functions take ``harmonics`` (H, 2), these are sine and cosine of each harmonic of the force, see
 ``harmonics_at``.
@@ -22,7 +25,8 @@ ROW_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 def number_of(elements, states, slips, phase_index):
     """Return the number that encodes a mode: its phase, the states of its contacts and the slips of its frictions.
 
-    For the code see hybrid_modes.ModeCode.
+    A mode is one set of linear equations of motion, and its phase a part of the forcing period. For the code see
+    hybrid_modes.ModeCode.
     """
     number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[2]
     for state in states:
@@ -34,7 +38,11 @@ def number_of(elements, states, slips, phase_index):
 
 @inlined
 def read_number(elements, number, states, slips):
-    """Write the states of contacts and slips in the mode of this number and return its phase."""
+    """Decode the number of a mode: write its states of contacts (C,) and slips of frictions (F,), and return its phase.
+
+    A mode is one set of linear equations of motion, and its phase a part of the forcing period. For the code see
+    hybrid_modes.ModeCode.
+    """
     half, most = 2 * elements.depths.shape[2], elements.speeds.shape[2]
     for f in range(len(slips) - 1, -1, -1):
         slips[f] = number % (2 * most + 1) - most
@@ -47,7 +55,10 @@ def read_number(elements, number, states, slips):
 
 @inlined
 def segment_of(starts, at):
-    """Return the segment of a law at an argument, for segments beginning at ``starts`` (S,); 0 is the first."""
+    """Return the index of the segment of a piecewise linear law that has the argument ``at``.
+
+    starts  (S,) arguments at which the segments begin, ascending
+    """
     i = 0
     while i + 1 < len(starts) and starts[i + 1] < at:
         i += 1
@@ -63,7 +74,10 @@ def slip_of(elements, e, sliding):
 
 @inline_always
 def slot_of(codes, number):
-    """Return the slot, the index among the modes built so far, of the mode of this number; -1 if it is not built."""
+    """Return the index, among the modes built so far, of the mode with this number; -1 if it is not built.
+
+    A mode is one set of linear equations of motion; ``codes`` are the numbers of those built.
+    """
     for k in range(len(codes)):
         if codes[k] == number:
             return k
@@ -87,7 +101,11 @@ def harmonics_at(phase, harmonics):
 
 @inlined
 def wave(parts, harmonics):
-    """Return sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian."""
+    """Return the value, at the phase of the force in ``harmonics``, of a sum of harmonics, and its rate per radian.
+
+    The sum is sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase). ``parts`` (H, 2) are its amplitudes, and
+    ``harmonics`` (H, 2) sine and cosine, see ``harmonics_at``.
+    """
     value, rate = 0.0, 0.0
     for k in range(len(harmonics)):
         sin, cos = harmonics[k, 0], harmonics[k, 1]
@@ -98,7 +116,10 @@ def wave(parts, harmonics):
 
 @inlined
 def guard_value(modes, k, g, z, harmonics):
-    """Return signal g of mode k at a physical state z (2n,), and the sum of moduli of its terms."""
+    """Return the value of signal g of mode k at a physical state z (2n,), and the sum of the moduli of its terms.
+
+    A mode is one set of linear equations of motion, and an event is a signal at an end of its range.
+    """
     row = modes.rows[k, g]
     value, _ = wave(modes.direct[k, g], harmonics)
     size = abs(value) + abs(row[len(z)])
@@ -111,7 +132,11 @@ def guard_value(modes, k, g, z, harmonics):
 
 @inlined
 def guard_rate(modes, k, g, f, omega, harmonics):
-    """Return the rate of signal g of mode k for a state with rates f (2n,)."""
+    """Return the rate of change of signal g of mode k, for a state that changes at the rates f (2n,).
+
+    ``modes`` is the table of modes (sets of linear equations), ``omega`` the forcing frequency. An event is a signal at
+    an end of its range. For ``harmonics`` see ``harmonics_at``.
+    """
     row = modes.rows[k, g]
     _, rate = wave(modes.direct[k, g], harmonics)
     rate *= omega
@@ -122,7 +147,7 @@ def guard_rate(modes, k, g, f, omega, harmonics):
 
 @inlined
 def right_hand_side(modes, k, z, harmonics, f):
-    """Write z' (2n,) in mode k to ``f``."""
+    """Write the time derivative of a physical state z (2n,) in mode k, one set of linear equations, to f (2n,)."""
     n, drive, acceleration = len(z) // 2, modes.drive[k], modes.acceleration[k]
     for i in range(n):
         total, _ = wave(drive[i], harmonics)
@@ -135,9 +160,10 @@ def right_hand_side(modes, k, z, harmonics, f):
 
 @inlined
 def enter(modes, k, z, W, harmonics, h, V):
-    """Write the block state h (n, 2) of z (2n,) and the tangent vectors V (m, n, 2) of W (m, 2n) in mode k.
+    """Convert a physical state z (2n,) and tangent vectors W (m, 2n) to coordinates of decoupled equations of mode k.
 
-    The forced response is left out of h.
+    Write them to h (n, 2) and V (m, n, 2). The forced response is left out of h. A mode is one set of linear equations
+    of motion. For ``harmonics`` see ``harmonics_at``.
     """
     matrix, blocks, forced = modes.to_blocks[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
@@ -152,7 +178,11 @@ def enter(modes, k, z, W, harmonics, h, V):
 
 @inlined
 def leave(modes, k, h, V, harmonics, z, W):
-    """Write physical state z (2n,) and tangent vectors W (m, 2n) of h (n, 2) and V (m, n, 2) in mode k."""
+    """Convert a state h (n, 2) and tangent vectors V (m, n, 2) of the decoupled equations of mode k to physical ones.
+
+    Write them to z (2n,) and W (m, 2n). A mode is one set of linear equations of motion. This is the inverse of
+    ``enter``.
+    """
     matrix, blocks, forced = modes.to_physical[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
     z[:] = 0.0
@@ -166,7 +196,11 @@ def leave(modes, k, h, V, harmonics, z, W):
 
 @inline_always
 def enter_from_section(oscillator, k, h, at):
-    """Write the block state ``at`` (n, 2) in mode k of a motion at a section, from section blocks h (n, 2)."""
+    """Convert a state h (n, 2) at t = k T to a state ``at`` (n, 2) of the decoupled equations of mode k.
+
+    A mode is one set of linear equations of motion. At t = k T the coordinates h are the same for all modes, see
+    Oscillator.
+    """
     n = h.shape[0]
     z = np.empty((1, 2 * n))
     leave_frame(oscillator.to_physical, h.copy().reshape((1, n, 2)), z)
@@ -176,7 +210,10 @@ def enter_from_section(oscillator, k, h, at):
 
 @inlined
 def enter_frame(matrix, W, V):
-    """Write the tangent vectors V (m, n, 2) in blocks that a matrix (2n, 2n) makes of physical vectors W (m, 2n)."""
+    """Multiply physical tangent vectors W (m, 2n) by a matrix (2n, 2n), and write the products to V (m, n, 2).
+
+    V are tangent vectors of n decoupled equations.
+    """
     for e in range(len(V)):
         for i in range(len(matrix)):
             V[e, i // 2, i % 2] = product(matrix[i], W[e], 0)
@@ -184,7 +221,10 @@ def enter_frame(matrix, W, V):
 
 @inlined
 def leave_frame(matrix, V, W):
-    """Write the physical tangent vectors W (m, 2n) that a matrix (2n, 2n) makes of vectors V (m, n, 2) in blocks."""
+    """Multiply tangent vectors V (m, n, 2) by a matrix (2n, 2n), and write the products to W (m, 2n).
+
+    V are tangent vectors of n decoupled equations, W physical ones: displacements, then velocities.
+    """
     for e in range(len(V)):
         for i in range(len(matrix)):
             W[e, i] = product_of_blocks(matrix[i], V[e])
@@ -192,7 +232,7 @@ def leave_frame(matrix, V, W):
 
 @inlined
 def row_product(row, z):
-    """Return row . z over the length of z."""
+    """Return the product row . z, summed over the length of z; the row may be longer."""
     total = 0.0
     for i in range(len(z)):
         total += row[i] * z[i]
@@ -201,7 +241,7 @@ def row_product(row, z):
 
 @inlined
 def product(row, z, first):
-    """Return row . z[first:] over the length of the row."""
+    """Return the product of a row with the part of z that begins at index ``first``."""
     total = 0.0
     for i in range(len(row)):
         total += row[i] * z[first + i]
@@ -210,7 +250,7 @@ def product(row, z, first):
 
 @inlined
 def product_of_blocks(row, h):
-    """Return row . h for blocks h (n, 2), summed like ``product``."""
+    """Return the product of a row (2n,) with a state h (n, 2), summed in the order of ``product``."""
     total = 0.0
     for j in range(len(h)):
         total += row[2 * j] * h[j, 0]
@@ -220,7 +260,7 @@ def product_of_blocks(row, h):
 
 @kernel
 def size_of(row, z, first):
-    """Return the sum of the moduli of the terms of row . z[first:]."""
+    """Return the sum of the moduli of the terms of ``product``, the unit of its rounding."""
     total = 0.0
     for i in range(len(row)):
         total += abs(row[i] * z[first + i])
@@ -240,7 +280,10 @@ def reset(z, first, row, kick, target, factor):
 
 @kernel
 def damping_along(acceleration, row, kick):
-    """Return cA^2k: minus the decay rate of a velocity along ``kick`` (n,) as seen by y = row . x."""
+    """Return cA^2k, minus the decay rate of the velocity of y = row . x after a change along ``kick`` (n,).
+
+    acceleration  (n, 2n + 1) accelerations in the mode (set of linear equations) as rows on (x, v, 1)
+    """
     n, total = len(row), 0.0
     for i in range(n):
         for j in range(n):
@@ -250,7 +293,9 @@ def damping_along(acceleration, row, kick):
 
 @kernel
 def mode_number_of_state(elements, z):
-    """Return the number of the mode of a physical section state z (2n,) in the first phase; -1 beyond a rigid stop.
+    """Return the number of the mode in which a motion starts at a physical state z (2n,) at t = k T; -1 beyond a stop.
+
+    The mode, a set of linear equations, is one of the machine's first phase, a part of the forcing period.
 
     A contact on a rigid stop with v = 0, to ROW_ROUNDING, sticks. Friction sticks at sliding velocity zero. Forces that
     contradict this mode change it at once, see events.follow_jumps.
@@ -280,9 +325,10 @@ def mode_number_of_state(elements, z):
 
 @kernel
 def snap_to_mode(elements, number, z):
-    """Remove deviations of rounding size from a physical state z (2n,) in this mode, see ``mode_number_of_state``.
+    """Remove deviations of rounding size from a physical state z (2n,), in place, in the mode of this number.
 
-    A sticking contact is put on its stop with v = 0; sticking friction does not slide.
+    A mode is one set of linear equations. A sticking contact is put on its stop with v = 0; sticking friction does not
+    slide.
     """
     C, F, n = len(elements.row), len(elements.friction_rows), elements.row.shape[1]
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)
@@ -305,7 +351,7 @@ def snap_to_mode(elements, number, z):
 
 @kernel
 def satisfy_rows(rows, values, x):
-    """Set one coordinate of x (n,) for each row of ``rows`` (r, n), so that rows x = values.
+    """Change x (n,) so that rows x = values, in place, in one coordinate for each row of ``rows`` (r, n).
 
     The coordinate is the one with the largest weight. The result is exact for rows that are coordinates with weights
     +-1, or differences of two. Rows that depend on earlier ones, such as friction on the row of a contact, are left

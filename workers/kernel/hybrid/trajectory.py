@@ -1,4 +1,7 @@
-"""A trajectory of a machine with modes between its events: start of a period and of a leg, and end of a leg."""
+"""A trajectory of a machine with modes: start of a period and of a leg, end of a leg, and the event at its end.
+
+A mode is one set of linear equations, and a leg the motion in one mode between two events.
+"""
 
 import math
 from typing import NamedTuple
@@ -74,11 +77,11 @@ would decide, from turn to turn, the mode of an orbit that changes its mode ther
 
 
 class TrajectoryTimes(NamedTuple):
-    """Real numbers of a trajectory, the columns of ``clock``.
+    """Real numbers of a trajectory, the columns of ``clock``. A leg is the motion between two events.
 
-    time          time since the section at the start of the leg
+    time          time at the start of the leg, since the start of the period
     phase         forcing phase at the start of the leg
-    until         end of the phase of the machine, or of the trajectory
+    until         end of the current part of the forcing period, see TrajectoryIndices, or of the trajectory
     horizon       longest time in which to seek the leg's first event
     rate          rate of the signal that the leg begins with
     end1 ... end3 last estimates of a chatter's end, see chatter.chatter_end
@@ -99,12 +102,12 @@ class TrajectoryTimes(NamedTuple):
 
 
 class TrajectoryIndices(NamedTuple):
-    """Whole numbers of a trajectory, the columns of ``indices``.
+    """Whole numbers of a trajectory, the columns of ``indices``. A mode is one set of linear equations of motion.
 
-    mode    slot of the mode in the table; negative if there is no mode, see events.mode_of
+    mode    index of the mode in the table; negative if there is no mode, see events.mode_of
     number  number of the mode
-    where   phase of the machine
-    hit     signal whose event begins the leg, -1 for none
+    where   phase of the machine, a part of the forcing period with constants of its own
+    hit     signal whose event begins the leg, the motion in one mode, -1 for none
     side    end of the range of that signal
     legs    number of legs so far
     """
@@ -126,12 +129,14 @@ named_constants(TrajectoryTimes, TrajectoryIndices)
 
 
 class HybridTrajectory(NamedTuple):
-    """A motion of n coordinates on its way from a section, with m tangent vectors and G signals.
+    """A motion of n coordinates on its way through a period, event by event, with m tangent vectors and G signals.
+
+    A leg is the motion between two events, in one mode, a set of linear equations.
 
     clock                     times, see TrajectoryTimes
     indices                   whole numbers, see TrajectoryIndices
-    h (n, 2), V (m, n, 2)     state and tangent vectors at the start of the leg, in the blocks of its mode
-    flow (n, 6)               flow of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
+    h (n, 2), V (m, n, 2)     state of the decoupled equations, and tangent vectors, at the start of the leg
+    flow (n, 6)               flow of each equation over the leg, see flow.flow_entries, and (h, h') after it
     z (2n,), W (m, 2n)        physical state and tangent vectors at an event
     turn (H, 2)               harmonics of the force at the event, see state.harmonics_at
     before, after (2n,)       rates of z before and after the event
@@ -169,12 +174,12 @@ TRIPS = record_type(
 
 @inline_always
 def make_trajectories(table, N, n, m, framed, square):
-    """Return trajectories (N, ...) for machines like the one of ``table``, see HybridTrajectory.
+    """Return a batch of N trajectories for machines like the one of ``table``, see HybridTrajectory.
 
     n       number of coordinates
     m       number of tangent vectors
-    framed  whether they have growth
-    square  whether they have a triangle
+    framed  whether the tangent vectors have growth, which is kept when they are made orthonormal
+    square  whether the factors of the orthonormalisation are kept too
     """
     C, F, G = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.pieces.ends.shape[1]
     size, harmonics, r = 2 * n, table.pieces.waves.shape[2], m if square else 0
@@ -190,7 +195,13 @@ def make_trajectories(table, N, n, m, framed, square):
 
 @inline_always
 def stop_at(table, tally, k, number):
-    """Set the status in the tally of a motion that has no next mode; ``k`` is the negative slot, see events.mode_of."""
+    """Set the status of a motion, in its counts ``tally``, that cannot continue since there is no next mode.
+
+    k       negative code in place of the mode's index, see events.mode_of
+    number  number of the mode; if the mode is not built, its number is written to the table
+
+    A mode is one set of linear equations of motion.
+    """
     if k == MISSING:
         tally[STATUS] = MODE_MISSING
         table.missing[0] = number
@@ -200,11 +211,13 @@ def stop_at(table, tally, k, number):
 
 @inlined
 def fly(modes, k, s, traj, drifts, flown):
-    """Advance the block state and the tangent vectors of a trajectory by a time s in mode k, in place.
+    """Advance the state and the tangent vectors of a trajectory by a flight of duration s in mode k, in place.
 
-    With ``flown``, traj.flow already holds the flow over s. The frame, the set of tangent vectors, is made orthonormal
-    before the flight. Directions removed by an event are therefore detected before the flight turns rounding into
-    directions. Multipliers are then known to rounding.
+    ``drifts`` is 1 if a coordinate drifts, else 0. With ``flown``, traj.flow already holds the flow over s. A mode is a
+    set of linear equations.
+
+    The frame, the set of tangent vectors, is made orthonormal before the flight. Directions removed by an event are
+    therefore detected before the flight turns rounding into directions. Multipliers are then known to rounding.
     """
     blocks, h, V, growth, flows = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow
     if growth.shape[0] > 0:
@@ -228,7 +241,12 @@ def fly(modes, k, s, traj, drifts, flown):
 
 @inline_always
 def count_rest(elements, states, lost, s, chatter, tally):
-    """Count a flight of duration s in a mode with lost dimensions as sticking, except the end of a chatter in it."""
+    """Add the time at rest in a flight of duration s to the counts ``tally`` of a motion.
+
+    states (C,)  states of the contacts
+    lost         number of dimensions that the motion lacks, since coordinates stick; 0 if nothing rests
+    chatter      first part of the flight, in which the mass still hops; it does not count if nothing else rests
+    """
     count = 0.0
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
@@ -241,7 +259,10 @@ def count_rest(elements, states, lost, s, chatter, tally):
 
 @inline_always
 def keep_held(elements, states, slips, z):
-    """Remove rounding from a state z (2n,), in place, in coordinates that stick on a stop or by friction."""
+    """Remove rounding from a state z (2n,), in place, in coordinates that stick on a stop or by friction.
+
+    states (C,), slips (F,)  states of contacts and of friction, see hybrid_modes.ModeCode
+    """
     n = len(z) // 2
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
@@ -255,9 +276,10 @@ def keep_held(elements, states, slips, z):
 
 @kernel
 def follow(table, traj):
-    """Find the mode in which the motion continues, and write its slot and number into the trajectory.
+    """Find the mode in which a motion continues after an event, and write its index and number into the trajectory.
 
-    A mode is one set of linear equations between two events. See events.follow_jumps for jumps beyond guards.
+    A mode is one set of linear equations between two events. For signals that a jump has left beyond their ranges see
+    events.follow_jumps.
     """
     indices = traj.indices
     k, number = follow_jumps(
@@ -268,7 +290,10 @@ def follow(table, traj):
 
 @kernel
 def begin_trajectory(table, traj, number):
-    """Begin a trajectory at a section, from its physical state and tangent vectors, in the mode of this number."""
+    """Begin a trajectory at the start of a period, in place, in the mode of this number.
+
+    Its physical state and tangent vectors are set already. A mode is one set of linear equations.
+    """
     clock, indices = traj.clock, traj.indices
     read_number(table.elements, number, traj.states, traj.slips)
     traj.begun[:] = 0
@@ -284,9 +309,9 @@ def begin_trajectory(table, traj, number):
 
 @inlined
 def begin_leg(table, traj, duration):
-    """Begin a leg of a trajectory of this duration and return the horizon for its first event.
+    """Begin a leg of a trajectory, the motion between two events, and return the longest time to seek the next event.
 
-    If the trajectory cannot continue, set tally[STATUS] and return 0.
+    ``duration`` is that of the whole trajectory. If the trajectory cannot continue, set tally[STATUS] and return 0.
     """
     clock, indices, tally = traj.clock, traj.indices, traj.tally
     k, t, period = indices[INDEX.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
@@ -307,7 +332,13 @@ def begin_leg(table, traj, duration):
 
 @kernel
 def end_hop(table, traj, end, s):
-    """Return the duration of a hop in a chatter and the speed at its end; the search found s. See chatter.hop."""
+    """Return the duration of a hop in a chatter and the speed at its end, more exactly than the certified search.
+
+    end  side of the stop
+    s    duration that the search has found
+
+    See chatter.hop.
+    """
     clock, pieces, k, g = traj.clock, table.pieces, traj.indices[INDEX.mode], traj.indices[INDEX.hit]
     blocks, waves = pieces.blocks[k, g], pieces.waves[k, g]
     fastest = fastest_rate(blocks, waves, table.omega)
@@ -316,7 +347,10 @@ def end_hop(table, traj, end, s):
 
 @kernel
 def record_leg(traj, legs, s):
-    """Record a leg of duration s, see leg_record.write_leg."""
+    """Record a leg, the motion between two events, in the next row of ``legs``; s is its duration.
+
+    For the row see leg_record.write_leg.
+    """
     clock, indices = traj.clock, traj.indices
     write_leg(
         legs[indices[INDEX.legs]], clock[CLOCK.time], indices[INDEX.hit], indices[INDEX.side], clock[CLOCK.rate],
@@ -327,11 +361,14 @@ def record_leg(traj, legs, s):
 
 @inlined
 def leave_leg(table, traj, s, reached, end, duration, legs, flown):
-    """End a leg after s, before the event at its end; return True if the trajectory is over.
+    """Advance a trajectory by the duration s of its leg, to just before the event at the leg's end.
+
+    A leg is the motion between two events. Return True if the trajectory is over.
 
     reached  signal that has reached an end of its range, -1 for none
     end      the end of its range
     legs     records of legs, see motion.through_modes
+    duration duration of the whole trajectory
     flown    whether traj.flow is the flow over s
 
     The event itself follows, see ``strike_soft`` and ``strike_hard``.
@@ -373,14 +410,17 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
 
 @inlined
 def is_soft(table, reached):
-    """Return True if a signal belongs to a soft contact."""
+    """Return True if a signal at an end of its range, ``reached``, belongs to a soft contact of the machine."""
     c = reached // SIGNALS
     return c < len(table.elements.soft) and table.elements.soft[c] > 0.0
 
 
 @inlined
 def strike_soft(table, traj, contacts):
-    """Pass the event of a soft contact, see events.soft_event, and count it."""
+    """Carry a trajectory through the event of a soft contact that it has reached, and count a contact that begins.
+
+    ``contacts`` (K, 3) are records of contacts, see motion.through_modes. See also events.soft_event.
+    """
     clock, indices = traj.clock, traj.indices
     g, side = indices[INDEX.hit], indices[INDEX.side]
     c = g // SIGNALS
@@ -392,7 +432,11 @@ def strike_soft(table, traj, contacts):
 
 @inline_always
 def strike_hard(table, traj, contacts):
-    """Pass the event of friction or of a rigid contact; return True if the next mode is still to be found."""
+    """Carry a trajectory through the event of friction or of a rigid contact that it has reached.
+
+    Return True if the next mode, the set of linear equations that holds next, is still to be found. ``contacts`` (K, 3)
+    are records of contacts, see motion.through_modes.
+    """
     elements, clock, indices = table.elements, traj.clock, traj.indices
     g, side, C = indices[INDEX.hit], indices[INDEX.side], len(traj.states)
     c = g // SIGNALS
@@ -418,9 +462,9 @@ def strike_hard(table, traj, contacts):
 
 @inline_always
 def strike_stop(table, traj, g, c, side, contacts):
-    """Pass an impact on rigid contact c: the state jumps, counts are added, and the rest of a chatter is noted.
+    """Carry a trajectory through an impact on rigid contact c, count it, and estimate the rest of a chatter.
 
-    g, side   signal that has reached its stop, and the side of the stop
+    g, side   number of the signal that has reached a stop, and the side of the stop
     contacts  records of impacts, see motion.through_modes
     """
     clock, tally, t, rate = traj.clock, traj.tally, traj.clock[CLOCK.time], traj.clock[CLOCK.rate]
@@ -448,7 +492,11 @@ def strike_stop(table, traj, g, c, side, contacts):
 
 @kernel
 def carry(table, traj, mode):
-    """Carry the tangent vectors from ``mode`` through the event just passed, by its saltation matrix, in place."""
+    """Carry the tangent vectors of a trajectory through the event that it has just passed, by the saltation matrix.
+
+    ``mode`` is the index of the mode (set of linear equations) before the event. The change of volume is added to the
+    counts.
+    """
     indices, pieces = traj.indices, table.pieces
     f, after, k, g = traj.before, traj.after, indices[INDEX.mode], indices[INDEX.hit]
     if k < 0:
@@ -469,9 +517,11 @@ def carry(table, traj, mode):
     FLOATS[2], types.boolean, result=types.boolean, modes=True,
 )  # fmt: skip
 def finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs, flown):
-    """End the leg of machine r on its trajectory after s, pass the event at its end if any, and find the next mode.
+    """Advance machine r by the time s to the end of its leg, through the event there, if any, and to the next mode.
 
-    slot            row of the trajectory in ``trajs``
+    A leg is the motion in one mode, a set of linear equations, between two events.
+
+    slot            row of the trajectory in ``trajs``, a batch of trajectories
     reached, end    signal that has reached an end of its range, -1 for none, and that end
     contacts, legs  records, see motion.through_modes
     flown           whether the trajectory's flow is the flow over s

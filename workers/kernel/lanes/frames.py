@@ -1,13 +1,13 @@
-"""The tangent frames of the lanes of a batch: flights, impacts and orthonormalisation.
+"""The tangent vectors of many cells at once: their change by flights and impacts, and their orthonormalisation.
 
-A lane is a place in loops over cells, which holds one cell. Its frame is the set of tangent vectors of that cell. Every
+A lane is a slot of loops over cells, which holds one cell. Its frame is the set of tangent vectors of that cell. Every
 round loops over the first n lanes. A lane still in flight keeps its frame by a mask, which costs less than gathering
-the others. ``u`` are the fields of one vector, see ``entry``.
+the other lanes. ``u`` are the fields of one vector, see ``entry``.
 
-A block is one decoupled equation of the motion. Sums over blocks take two blocks at a time. Those before the last two
-add up in ``partial``. The last two complete the sum and use it at once; the others use it after them. Two blocks make
-one loop. The number of blocks is even, see layout.padded_blocks. Frames of four vectors of two blocks are handled by
-``two_blocks.py``.
+A block is one decoupled equation of the motion. Sums over blocks take two blocks at a time. The blocks before the last
+two add up in ``partial``. The loop over the last two completes the sum and uses it at once; further loops then apply it
+to the other blocks. Two blocks need only one loop. The number of blocks is even, see layout.padded_blocks. Frames of
+four vectors of two blocks are handled by ``two_blocks.py``.
 """
 
 import math
@@ -42,7 +42,10 @@ MAX_SPREAD_OF_ONE = 100.0
 
 
 class Workspace(NamedTuple):
-    """Work arrays in which ``normalise_pass`` makes the frames of some lanes orthonormal.
+    """Work arrays in which the frames of some lanes are made orthonormal, with m vectors of n blocks.
+
+    A frame is the set of tangent vectors of one lane, which holds one cell, and a block one decoupled equation of
+    motion.
 
     frames  (m, 2 n STRIDE)  vectors, as those of the lanes
     growths (m, STRIDE)      growth of each vector
@@ -62,9 +65,10 @@ class Workspace(NamedTuple):
 
 @inlined
 def entry(j, c, i):
-    """Return the index of number c (0 or 1) of block j of frame i within the numbers of one vector of many frames.
+    """Return an index into the array of one tangent vector of many cells: number c (0 or 1) of block j of cell i.
 
-    The index is unsigned: a check for negative indices would prevent vector instructions in a loop over i.
+    A block is one decoupled equation of motion. The index is unsigned: a check for negative indices would prevent
+    vector instructions in a loop over i.
     """
     return np.uint64((2 * j + c) * STRIDE + i)
 
@@ -80,14 +84,18 @@ def last_two(u):
 
 @kernel
 def clear(partial, count):
-    """Zero the sums over blocks."""
+    """Set the first ``count`` entries of both rows of partial sums, ``partial``, to zero."""
     for i in range(count):
         partial[entry(0, 0, i)] = partial[entry(0, 1, i)] = 0.0
 
 
 @inlined
 def product_of_two(metric, u, w, j, i, total):
-    """Return the total plus blocks j and j + 1 of the product of ``tangent.inner``."""
+    """Return ``total`` plus the terms of blocks j and j + 1 in the product of tangent vectors u and w of cell i.
+
+    A block is one decoupled equation of motion. For the product see ``tangent.inner``, and for the arrays
+    ``normalise_pass``.
+    """
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     total = fma(u[e1], w[e1], fma(metric[e0] * u[e0], w[e0], total))
     return fma(u[e3], w[e3], fma(metric[e2] * u[e2], w[e2], total))
@@ -95,7 +103,7 @@ def product_of_two(metric, u, w, j, i, total):
 
 @inlined
 def scale_two(u, j, i, factor):
-    """Multiply blocks j and j + 1 of vector i by ``factor``."""
+    """Multiply blocks j and j + 1 (decoupled equations) of tangent vector u of cell i by ``factor``, in place."""
     u[entry(j, 0, i)] *= factor
     u[entry(j, 1, i)] *= factor
     u[entry(j, 2, i)] *= factor
@@ -104,7 +112,10 @@ def scale_two(u, j, i, factor):
 
 @inlined
 def subtract_two(u, w, j, i, factor):
-    """Subtract ``factor`` times u from blocks j and j + 1 of w."""
+    """Subtract ``factor`` times tangent vector u from w in blocks j and j + 1 of cell i, in place.
+
+    A block is one decoupled equation of motion.
+    """
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     w[e0] = fma(-factor, u[e0], w[e0])
     w[e1] = fma(-factor, u[e1], w[e1])
@@ -114,7 +125,10 @@ def subtract_two(u, w, j, i, factor):
 
 @kernel
 def products(metric, u, w, partial, count):
-    """Set the partial products of u and w over all blocks except the last two."""
+    """Write the products of tangent vectors u and w of ``count`` cells to ``partial``, without their last two blocks.
+
+    A block is one decoupled equation of the motion. For the product see ``tangent.inner``.
+    """
     clear(partial, count)
     for j in range(0, last_two(u), 2):
         for i in range(count):
@@ -123,12 +137,12 @@ def products(metric, u, w, partial, count):
 
 @kernel
 def normalise_pass(metric, rank, k, u, growth, partial, count):
-    """Make vector k of ``count`` frames a unit vector, one step of tangent.orthonormalise.
+    """Scale tangent vector k of each of ``count`` cells to unit length, one step of tangent.orthonormalise.
 
-    metric (2 n STRIDE,)  metric at the first number of each block
-    rank   (STRIDE,)      number of directions of each frame
+    metric (2 n STRIDE,)  metric of each block (decoupled equation), at its first number
+    rank   (STRIDE,)      number of directions of each cell that exist
     u      (2 n STRIDE,)  numbers of the vector, see ``entry``
-    growth (STRIDE,)      growth of the vector in each frame
+    growth (STRIDE,)      growth of the vector in each cell
     """
     products(metric, u, u, partial, count)
     last = last_two(u)
@@ -146,7 +160,7 @@ def normalise_pass(metric, rank, k, u, growth, partial, count):
 
 @kernel
 def project_pass(metric, u, w, partial, count):
-    """Project the unit vector u out of the later vector w, one step of tangent.orthonormalise.
+    """Make a later tangent vector w of each cell orthogonal to the unit vector u, one step of tangent.orthonormalise.
 
     The arguments are those of ``normalise_pass``.
     """
@@ -163,13 +177,19 @@ def project_pass(metric, u, w, partial, count):
 
 @inlined
 def at(j, field, i):
-    """Return the index of a field of block j of lane i; unsigned, as in ``entry``."""
+    """Return the index of a field of block j of lane i in the array of all lanes' fields; unsigned, as in ``entry``.
+
+    A lane holds one cell, and a block is one decoupled equation of motion.
+    """
     return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
 
 
 @inline_always
 def workspace(m, n):
-    """Return a workspace for m vectors of n blocks."""
+    """Return work arrays for making m tangent vectors of n decoupled equations orthonormal in many cells.
+
+    See Workspace.
+    """
     size = 2 * padded_blocks(n) * STRIDE
     return Workspace(
         room_for_vectors(m * size).reshape((m, size)),
@@ -183,9 +203,14 @@ def workspace(m, n):
 
 @kernel
 def spread_pass(a, limit, n):
-    """Set the flight and the impact that each frame has to pass, and return how many frames must be reset first.
+    """Decide for each lane (one cell) how its tangent vectors pass the flight and the impact just completed.
 
-    A frame is the set of tangent vectors of one lane. To reset it is to make it orthonormal; a long flight is a reason.
+    a      fields of all lanes; those about the tangent vectors change
+    limit  largest stretch of some tangent vectors relative to others, as a logarithm
+    n      number of lanes
+
+    Return the number of lanes whose tangent vectors must be made orthonormal first, since they would stretch beyond the
+    limit.
     """
     count = 0
     for i in range(n):
@@ -213,13 +238,20 @@ def spread_pass(a, limit, n):
 
 @inlined
 def is_whole(vectors, blocks):
-    """Return True if frames of this size, four vectors of two blocks, are handled as a whole by ``two_blocks.py``."""
+    """Return True if ``two_blocks.py`` handles the tangent vectors: each cell has four, of two decoupled equations."""
     return vectors == VECTORS and blocks == BLOCKS
 
 
 @inline_always
 def orthonormalise_due(a, count, frames, growths, space, blocks):
-    """Apply tangent.orthonormalise to the frames of the first ``count`` of space.lanes."""
+    """Make the tangent vectors of some cells orthonormal, see tangent.orthonormalise.
+
+    a                 fields of all cells
+    count             number of these cells; the indices of their fields come first in space.lanes
+    frames, growths   tangent vectors of all cells and their growth, changed in place
+    space             work arrays
+    blocks            number of decoupled equations of motion
+    """
     U, growing, metric, rank, lanes, partial = space
     m = len(frames)
     for e in range(count):
@@ -242,7 +274,10 @@ def orthonormalise_due(a, count, frames, growths, space, blocks):
 
 @kernel
 def gather_vector(lanes, count, blocks, u, growth, w, growing):
-    """Copy one vector and its growth from the first ``count`` of these lanes to w, contiguously."""
+    """Copy one tangent vector and its growth from the first ``count`` of these lanes to contiguous arrays.
+
+    The vector u goes to w and its growth to ``growing``. ``lanes`` are numbers of lanes, slots that hold one cell each.
+    """
     for e in range(count):
         growing[e] = growth[lanes[e]]
     for j in range(blocks):
@@ -253,7 +288,10 @@ def gather_vector(lanes, count, blocks, u, growth, w, growing):
 
 @kernel
 def scatter_vector(lanes, count, blocks, w, growing, u, growth):
-    """Undo ``gather_vector``: copy one vector and its growth from w back to these lanes."""
+    """Undo ``gather_vector``: copy one tangent vector and its growth from w and ``growing`` back to its lanes.
+
+    A lane is a slot of loops that holds one cell.
+    """
     for e in range(count):
         growth[lanes[e]] = growing[e]
     for j in range(blocks):
@@ -264,7 +302,11 @@ def scatter_vector(lanes, count, blocks, w, growing, u, growth):
 
 @inlined
 def fly_block(a, u, j, i, dy, dv):
-    """Carry block j of vector i through a completed flight; return (dy, dv) plus its contribution, for an impact."""
+    """Carry block j of tangent vector u through the flight just completed in lane i, in place.
+
+    Return (dy, dv), position and velocity of the gap coordinate in the vector, plus the contribution of the block. A
+    lane holds one cell, and a block is one decoupled equation of motion.
+    """
     flows, e0, e1 = a[LANE.flows + i] > 0.0, entry(j, 0, i), entry(j, 1, i)
     u0, u1 = u[e0], u[e1]
     w0 = fma(a[at(j, BLOCK.f11, i)], u0, a[at(j, BLOCK.f12, i)] * u1)
@@ -277,7 +319,10 @@ def fly_block(a, u, j, i, dy, dv):
 
 @inlined
 def kick_block(a, u, j, i, along_k, along_Ak):
-    """Add the change by an impact to block j of vector i, see contact.saltation."""
+    """Add the change by an impact in lane i to block j of tangent vector u, in place; see contact.saltation.
+
+    A lane holds one cell, and a block is one decoupled equation of motion.
+    """
     e0, e1 = entry(j, 0, i), entry(j, 1, i)
     u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
     u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
@@ -285,7 +330,10 @@ def kick_block(a, u, j, i, along_k, along_Ak):
 
 @kernel
 def transfer_pass(a, u, partial, n):
-    """Carry one vector through completed flights, and through impacts, as contact.saltation does."""
+    """Carry tangent vector u of each of n cells through the flight just completed, and through an impact at its end.
+
+    The impact acts as in contact.saltation. ``a`` are the fields of the cells; ``partial`` is overwritten.
+    """
     last = last_two(u)
     clear(partial, n)
     for j in range(0, last, 2):
@@ -311,9 +359,12 @@ def transfer_pass(a, u, partial, n):
 
 @inline_always
 def fly_frame_far(a, i, blocks, frames, growths):
-    """Do ``transfer_pass`` for a long flight of lane i, which spreads its frame far.
+    """Carry the tangent vectors of one cell through a long flight, which stretches some vectors far more than others.
 
-    blocks (N, n, columns)  blocks of all cells
+    i                       lane that holds the cell
+    blocks (N, n, columns)  constants of the decoupled equations of all cells
+
+    The vectors become orthonormal. Otherwise ``transfer_pass`` does the work.
     """
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
@@ -326,9 +377,9 @@ def fly_frame_far(a, i, blocks, frames, growths):
 
 @inline_always
 def move_frames(a, n, blocks, frames, growths, space):
-    """Carry the tangent vectors of all lanes through the flights and impacts just completed, as period.propagate does.
+    """Carry the tangent vectors of the first n lanes (one cell each) through the flights and impacts just completed.
 
-    blocks (N, n, columns)  blocks of all cells
+    blocks (N, n, columns)  constants of the decoupled equations of all cells
     """
     if spread_pass(a, MAX_SPREAD if len(frames) > 1 else MAX_SPREAD_OF_ONE, n) > 0:
         count = list_lanes(a, LANE.due, n, space.lanes)
@@ -345,16 +396,19 @@ def move_frames(a, n, blocks, frames, growths, space):
 
 @inlined
 def square_of_block(a, u, j, i, total):
-    """Return the total plus block j of the squared length of a vector."""
+    """Return ``total`` plus the contribution of block j to the squared length of tangent vector u in lane i.
+
+    A lane holds one cell, and a block is one decoupled equation of motion.
+    """
     u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
     return fma(u1, u1, fma(a[at(j, BLOCK.metric, i)] * u0, u0, total))
 
 
 @kernel
 def measure_pass(a, u, growth, partial, n):
-    """Set the growth over the period of the first vector, in lanes at their section or at their first start.
+    """Set the growth of the first tangent vector over the period, in cells that end a period or have just started.
 
-    LANE.log_length, NaN if unknown, is tangent.log_length at the last section.
+    LANE.log_length is tangent.log_length at the start of the period, NaN if unknown.
     """
     last = last_two(u)
     clear(partial, n)
@@ -371,7 +425,7 @@ def measure_pass(a, u, growth, partial, n):
 
 @inlined
 def load_frame(V, growth, frames, growths, i):
-    """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i."""
+    """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i (one cell) of the arrays of all lanes."""
     for k in range(V.shape[0]):
         growths[k, i] = growth[k]
         for j in range(V.shape[1]):
@@ -380,7 +434,7 @@ def load_frame(V, growth, frames, growths, i):
 
 @inlined
 def store_frame(frames, growths, i, V, growth):
-    """Write the tangent vectors of lane i to V (m, n, 2) and their growth to growth (m,)."""
+    """Write the tangent vectors of lane i (one cell) to V (m, n, 2) and their growth to growth (m,)."""
     for k in range(V.shape[0]):
         growth[k] = growths[k, i]
         for j in range(V.shape[1]):

@@ -1,4 +1,4 @@
-"""Layout of the fields of the lanes of a batch: offsets by name, constants in kernels.
+"""The layout of the fields of lanes, slots that hold one cell each: offsets by name, constants in kernels.
 
 All fields lie in one flat array: ``a[LANE.v + i]`` is the velocity of lane i. Constant offsets, STRIDE apart, show the
 compiler that fields do not overlap, so loops over lanes become vector instructions.
@@ -28,7 +28,10 @@ FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 
 
 class LaneFields(NamedTuple):
-    """Fields of a lane. Velocities, accelerations and so on refer to the gap coordinate y."""
+    """Fields of a lane, a slot that holds one cell, as offsets.
+
+    Velocity, acceleration and so on are of the gap coordinate y.
+    """
 
     # those of oscillator.ForcedBounds
     omega: int
@@ -124,14 +127,17 @@ BlockFields: Any = namedtuple("BlockFields", FIELDS_OF_BLOCK)  # type: ignore[mi
 
 
 class HarmonicFields(NamedTuple):
-    """Fields of one harmonic of a lane, from the second harmonic on."""
+    """Fields of one harmonic of the force in each lane (one cell), as offsets, from the second harmonic on."""
 
     sin_part: int
     cos_part: int
 
 
 class GapFields(NamedTuple):
-    """Fields of the gaps of some lanes, gathered contiguously: closing of a gap, and bounds of a safe time."""
+    """Fields of the gaps of some cells to their stops, as offsets: closing motion, and bounds of a safe time.
+
+    The cells are gathered contiguously. A safe time is one in which the gap certainly stays open.
+    """
 
     gap: int
     v: int  # > 0 if the gap closes
@@ -153,7 +159,10 @@ named_constants(LaneFields, BlockFields, HarmonicFields, GapFields)
 
 @register_jitable
 def padded_blocks(n: int) -> int:
-    """Return the number of blocks with room for n: passes over tangent vectors take two blocks at a time."""
+    """Return the number of blocks for which arrays have room: n, rounded up to an even number.
+
+    Passes over tangent vectors take two blocks, decoupled equations of motion, at a time.
+    """
     return n + n % 2
 
 

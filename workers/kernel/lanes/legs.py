@@ -1,9 +1,10 @@
-"""Legs of many motions side by side: fields of lanes, and rounds that search for each lane's first event.
+"""Search for the next event of many motions of machines with modes, in vectorised loops.
 
-A leg is the motion in one mode, from one event to the next. A lane holds one motion. A signal is a number computed from
-the state; at an end of its range there is an event. Every signal of a lane has the fields of a gap, see ``layout.py``.
-The same passes search it, with the ends of its range as stops. ``records`` (U, size) are the fields of U signals; the
-first record also holds the blocks' flow and the time. The kernels of one motion pass the events, which few lanes have.
+A mode is one set of linear equations of motion, and a leg the motion in one mode, from one event to the next. A lane is
+a slot that holds one motion. A signal is a number computed from the state; at an end of its range there is an event.
+Every signal of a lane has the fields of a gap, see ``layout.py``. The same passes search it, with the ends of its range
+as stops. ``records`` (U, size) are the fields of U signals; the first record also holds the time, and the flow of the
+blocks, the decoupled equations. The kernels of one motion carry it through its events, which few lanes have.
 """
 
 import math
@@ -51,7 +52,7 @@ RENEWAL = float(REFRESH)
 
 
 class LegFields(NamedTuple):
-    """Fields of a lane apart from its signals."""
+    """Fields of the search in a lane, a slot that holds one motion, apart from the fields of its signals."""
 
     event: int  # FLYING, REACHED, OVER, or LEFT: the search needs very many steps
     hit: int  # the first signal to reach an end of its range, -1 for none
@@ -67,13 +68,17 @@ LEG_SIZE = len(LegFields._fields) * STRIDE
 
 @inline_always
 def record_size(blocks, harmonics):
-    """Return the size of the record of one signal of all lanes, for these numbers of blocks and harmonics."""
+    """Return the size of the array of fields of one signal of all lanes (one motion each).
+
+    blocks     number of blocks, the decoupled equations of motion
+    harmonics  number of harmonics of the force
+    """
     return LANE_SIZE + padded_blocks(blocks) * BLOCK_SIZE + (harmonics - 1) * HARMONIC_SIZE
 
 
 @kernel
 def empty_lane(records, i):
-    """Park an unused lane."""
+    """Fill lane i, which holds no motion, with a mass at rest, over which the passes can run."""
     records = borrow(records)
     for u in range(records.shape[0]):
         park(records[u], i)
@@ -81,7 +86,10 @@ def empty_lane(records, i):
 
 @kernel
 def copy_lane(records, source, target):
-    """Copy lane ``source`` to lane ``target``."""
+    """Copy the motion in lane ``source`` to lane ``target``, with the fields of all its signals.
+
+    A lane is a slot of the loops. A signal is a number with an event at each end of its range.
+    """
     records = borrow(records)
     for u in range(records.shape[0]):
         move_lane(records[u], source, target)
@@ -89,7 +97,9 @@ def copy_lane(records, source, target):
 
 @inlined
 def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts, H):
-    """Load a leg in mode k, of at most the time H, into lane i; return True if all blocks oscillate.
+    """Load a leg in mode k (a set of linear equations), of at most the time H, into lane i (one motion).
+
+    Return True if all blocks (decoupled equations) oscillate.
 
     signals (U,)    signals to search
     phase           forcing phase at the start
@@ -137,9 +147,12 @@ def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts
 
 @inlined
 def read_flow(records, i, flow):
-    """Copy the flow of each block from the leg's start to the present of lane i, and the state there.
+    """Copy the flow of each block since the start of the leg, and the block's state now, to ``flow``.
 
     flow (n, 6)  see HybridTrajectory
+
+    Lane i holds one motion. A leg is the motion between two events, a block one decoupled equation of motion, and its
+    flow a matrix (2, 2).
     """
     for j in range(len(flow)):
         first = LANE_SIZE + j * BLOCK_SIZE + i
@@ -150,7 +163,10 @@ def read_flow(records, i, flow):
 
 @kernel
 def least_pass(legs, a, u, n):
-    """Take the step of signal u, with fields a, if it is the smallest so far."""
+    """Take the step of signal u as the step of each of n motions for which it is the smallest so far.
+
+    ``a`` are the fields of the signal, a number with an event at each end of its range.
+    """
     for i in range(n):
         contact, before, hit = a[LANE.contact_time + i], legs[LEG_FIELD.step + i], legs[LEG_FIELD.hit + i]
         met = contact < np.inf
@@ -164,9 +180,9 @@ def least_pass(legs, a, u, n):
 
 @kernel
 def move_pass(legs, a, n):
-    """Set the next event and time of each lane, and return how many lanes need new bounds there.
+    """Advance each of n lanes (one motion each) by its step, and set whether it has reached an event.
 
-    ``a`` are the fields of the first signal.
+    Return how many lanes need new bounds of their signals. ``a`` are the fields of the first signal.
     """
     renewing = 0
     for i in range(n):
@@ -192,7 +208,12 @@ def move_pass(legs, a, n):
 
 @kernel
 def copy_pass(a, first, n):
-    """Copy the fields common to all signals after a step from the first signal to another."""
+    """Copy time and flags, which all signals of a motion have in common, from its first signal to another.
+
+    A signal is a number with an event at each end of its range.
+
+    ``first`` and ``a`` are the fields of both signals in n lanes, slots that hold one motion each.
+    """
     for i in range(n):
         a[LANE.time + i] = first[LANE.time + i]
         a[LANE.renews + i] = first[LANE.renews + i]
@@ -202,9 +223,12 @@ def copy_pass(a, first, n):
 
 @kernel
 def share_pass(a, q, flown, n):
-    """Add the contribution of a block to a signal.
+    """Add the contribution of one block, a decoupled equation of motion, to a signal of each of n motions.
 
-    ``flown`` are the fields of the block in the first signal, at LANE.time.
+    a, q   fields of the signal, and of the block in this signal
+    flown  fields of the block in the first signal, with its state at LANE.time
+
+    A signal is a number with an event at each end of its range.
     """
     for i in range(n):
         h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
@@ -213,7 +237,7 @@ def share_pass(a, q, flown, n):
 
 @kernel
 def oscillating_share_pass(a, q, flown, n):
-    """Do ``share_pass`` for a block that is underdamped in every lane."""
+    """Do ``share_pass`` for a block (decoupled equation) that is underdamped in every lane (one motion each)."""
     for i in range(n):
         h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
@@ -221,14 +245,17 @@ def oscillating_share_pass(a, q, flown, n):
 
 @inline_always
 def run_round(records, legs, blocks, harmonics, oscillates, renews, n, lane_list, c):
-    """Take the first n lanes through one round: the next certified step, or the arrival, of each.
+    """Take the first n lanes through one round: each advances by a certified step, or to an event.
 
-    oscillates    whether all blocks of all lanes are underdamped
-    renews        whether a lane may need new bounds
-    lane_list, c  overwritten
+    records, legs  fields of the lanes, slots that hold one motion each
+    blocks         number of blocks, the decoupled equations of motion
+    harmonics      number of harmonics of the force
+    oscillates     whether all blocks of all lanes are underdamped
+    renews         whether a lane may need new bounds of its signals
+    lane_list, c   overwritten
 
-    Return True if a lane needs new bounds in the next round. Both ways to treat an underdamped block give the same
-    bits.
+    A certified step is a time in which certainly no event occurs. Return True if a lane needs new bounds in the next
+    round. Both ways to treat an underdamped block give the same bits.
     """
     signals, first = records.shape[0], records[0]
     for i in range(n):

@@ -1,7 +1,9 @@
-"""Many motions of machines with modes at once: a lane whose cell has finished takes the next cell of the queue.
+"""Many motions of machines with modes, advanced at once through whole periods.
 
-Lanes search for the events of legs; ``hybrid/trajectory.py`` passes the events, one motion at a time. A leg is searched
-as in ``hybrid/motion.py`` if it begins at rest at an end of a signal's range, hops in a chatter, or may grow.
+A mode is one set of linear equations, and a leg the motion in one mode between two events. Vectorised loops search for
+the events in lanes, slots that hold one motion each. A lane whose motion has finished takes the next one of the queue.
+``hybrid/trajectory.py`` carries motions through their events, one at a time. A leg is searched as in
+``hybrid/motion.py`` if it begins at rest at an end of a signal's range, hops in a chatter, or may grow.
 """
 
 from typing import NamedTuple
@@ -44,17 +46,17 @@ BEGINS, ARRIVES = 0, 1
 
 
 class LegSearch(NamedTuple):
-    """Work arrays for the search for events of legs, for machines with n coordinates.
+    """Work arrays for the search for the events of many motions of n coordinates, each in a lane, a slot of the loops.
 
     records, legs       fields of the lanes, see ``legs.py``
-    signals (U,)        numbers of the signals that end a mode
+    signals (U,)        numbers of the signals whose events are sought
     lane_cells (LANES,) cell of each lane
-    slots (LANES,)      slot of its trajectory
-    before (LANES,)     log of the length of the first tangent vector of each trajectory, at its last section
+    slots (LANES,)      row of its trajectory in the batch of trajectories
+    before (LANES,)     log of the length of the first tangent vector of each trajectory, at the start of the period
     gathered            overwritten
     lane_list (LANES,)  overwritten
     scratch (n, 2)      overwritten
-    none (0, 0)         records of legs, not wanted
+    none (0, 0)         records of the motion between events, not wanted
     """
 
     records: Array
@@ -73,11 +75,12 @@ def run_through_modes(batch: MotionBatch, cells: Rows, signals: Rows, enough: in
     """Advance these cells of a batch by their periods, or until their motion or their evaluations end.
 
     batch         its arrays change, see lanes.run.MotionBatch
-    signals (U,)  signals of the machines that end a mode, at least one
+    signals (U,)  numbers of the machines' signals whose events are sought, at least one
     enough        minimum number of active cells; once fewer are active, each stops at its next section
     lanes         maximum number of active cells, at most LANES
 
-    A motion that misses a mode stays at its section; the mode is built before the next call.
+    If the mode of a motion, a set of linear equations, is not built yet, the motion stays at its section, t = k T. The
+    mode is built before the next call.
     """
     n, m = batch.motions.h.shape[1], batch.motions.V.shape[1]
     framed = batch.motions.growth.shape[1] > 0
@@ -88,7 +91,12 @@ def run_through_modes(batch: MotionBatch, cells: Rows, signals: Rows, enough: in
 
 
 def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
-    """Return a search of empty lanes."""
+    """Return work arrays for the search for events, which hold no motion yet.
+
+    n          number of coordinates
+    harmonics  number of harmonics of the force
+    signals    (U,) numbers of the signals whose events are sought
+    """
     U, size = len(signals), record_size.py_func(n, harmonics)
     return LegSearch(
         room_for_vectors.py_func(U * size).reshape((U, size)), room_for_vectors.py_func(LEG_SIZE), signals,
@@ -99,7 +107,10 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
 
 @kernel
 def take_along(batch, cells, trajs, search, enough, lanes, more):
-    """Do ``run_through_modes`` with work arrays."""
+    """Apply ``run_through_modes``, the advance of cells by their periods, with work arrays ``trajs`` and ``search``.
+
+    ``more`` is the number of tangent vectors added in front, for the direction of a drift.
+    """
     batch, trajs, search = by_reference(batch), by_reference(trajs), by_reference(search)
     periods, completed, tally = batch.periods, batch.completed, batch.motions.tally
     legs, lane_cells, slots = search.legs, search.lane_cells, search.slots
@@ -150,14 +161,20 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
 
 @kernel
 def length_of(batch, r):
-    """Return tangent.log_length of cell r at its section."""
+    """Return the log of the length of the first tangent vector of cell r at the end of a period.
+
+    It includes the growth removed so far, see tangent.log_length.
+    """
     motions = batch.motions
     return log_length(batch.oscillators.gap.blocks[r], motions.V[r], motions.growth[r])
 
 
 @kernel
 def begin_period(batch, trajs, r, slot, more):
-    """Begin a period of cell r, from its section."""
+    """Begin a period of cell r: copy its motion into row ``slot`` of the trajectories ``trajs``.
+
+    ``more`` is the number of tangent vectors added in front, for the direction of a drift.
+    """
     oscillators = batch.oscillators
     trip, motion, table = row_in(trajs, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
     load_motion(oscillators.to_physical[r], motion, trip, more)
@@ -166,9 +183,10 @@ def begin_period(batch, trajs, r, slot, more):
 
 @inline_always
 def pass_alone(batch, trajs, search, r, slot):
-    """Take cell r to the end of its current leg, without a lane; return True if its period is over.
+    """Advance cell r to the end of its current leg, and through the event there, by the kernels of one motion.
 
-    A leg is the motion in one mode, a set of linear equations, from one event to the next.
+    Return True if its period is over. A leg is the motion in one mode, a set of linear equations, from one event to the
+    next.
     """
     tables, hits, none = batch.oscillators.table, batch.motions.impacts[r], search.none
     return advance_leg(tables, r, trajs, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
@@ -176,9 +194,10 @@ def pass_alone(batch, trajs, search, r, slot):
 
 @inline_always
 def pass_found(batch, trajs, search, r, slot, i):
-    """Take cell r through the end of its current leg, at the event that lane i has found.
+    """Advance cell r to the event that the search has found, the end of its current leg, and through the event.
 
-    Return True if the period of the cell is over. A leg is the motion in one mode, from one event to the next.
+    ``i`` is the lane in which the loops hold the cell. Return True if the period of the cell is over. A leg is the
+    motion between two events.
     """
     tables, legs = batch.oscillators.table, search.legs
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
@@ -191,7 +210,15 @@ def pass_found(batch, trajs, search, r, slot, i):
 
 @kernel
 def end_period(batch, trajs, r, slot, ending, before, more):
-    """Take cell r to the section at the end of its trajectory; return True if its next period has begun."""
+    """Copy the trajectory of cell r back into its motion at the end of a period, and begin the next period.
+
+    slot    row of the trajectory
+    ending  True to begin no other period
+    before  (LANES,) log of the length of the first tangent vector at the start of the period
+    more    number of tangent vectors added in front, for the direction of a drift
+
+    Return True if a next period has begun.
+    """
     oscillators, periods, completed = batch.oscillators, batch.periods, batch.completed
     motion, trip, k = row_in(batch.motions, r), row_in(trajs, slot), completed[r]
     table = oscillators.table
@@ -210,11 +237,13 @@ def end_period(batch, trajs, r, slot, ending, before, more):
 
 @kernel
 def turn(batch, trajs, search, r, i, stage, ending, more):
-    """Advance cell r until a leg begins whose event the lanes can search; return True if there is such a leg.
+    """Advance cell r until a leg begins whose event the vectorised loops can search.
 
-    i       lane that has searched the current leg, the motion in one mode
+    Return True if there is such a leg. A leg is the motion between two events.
+
+    i       lane of the cell, its index in the loops
     stage   where to continue, see BEGINS
-    ending  True to stop at a section
+    ending  True to stop at the end of the period
     """
     slot, through = search.slots[i], False
     trip, table = row_in(trajs, slot), row_in(batch.oscillators.table, r)
@@ -245,7 +274,10 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
 
 @inline_always
 def begins_at_rest(traj):
-    """Return True if a leg hops in a chatter, or a signal begins at an end of its range with zero rate."""
+    """Return True if a leg begins in a hop of a chatter, or with a signal at rest at an end of its range.
+
+    A leg is the motion of a trajectory between two events.
+    """
     rests = traj.clock[CLOCK.hop] > 0.0
     for order in traj.begun:
         rests = rests or abs(order) > 1
@@ -254,5 +286,8 @@ def begins_at_rest(traj):
 
 @inlined
 def grows(modes, k):
-    """Return True if a block of mode k grows: its bounds hold only for a while, see crossing.next_crossing."""
+    """Return True if a block of mode k (a set of linear equations), one of its decoupled equations, grows.
+
+    Bounds of a growing motion hold only for a while, see crossing.next_crossing.
+    """
     return growth_rate(modes.blocks[k, 0]) > 0.0

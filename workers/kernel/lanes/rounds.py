@@ -1,7 +1,7 @@
-"""One round of a batch: each lane takes its next certified step, or passes the impact or section it has reached.
+"""One round of a batch: each lane takes its next certified step, or passes an impact or the end of a period.
 
-A lane holds one cell. A certified step is a time in which no stop can be reached. A lane's results do not depend, to
-the bit, on the number and content of other lanes or on its position.
+A lane is a slot of vectorised loops that holds one cell. A certified step is a time in which no stop can be reached. A
+lane's results do not depend, to the bit, on the number and content of other lanes or on its position.
 """
 
 import math
@@ -30,9 +30,11 @@ period."""
 
 @kernel
 def arrival_pass(a, n):
-    """Process the event that each lane has reached: kick and counts of an impact, and the start of the next flight.
+    """Process the event that each of n lanes has reached: jump and counts of an impact, start of the next flight.
 
-    Return how many lanes stop at a section or have left, and how many need new bounds.
+    A lane holds one cell; ``a`` are the fields of all lanes. Return two numbers. The first is how many lanes stop at
+    the end of a period or are left to the kernels of one cell. The second is how many need new bounds of the gap
+    coordinate.
     """
     stopping, renewing = 0, 0
     for i in range(n):
@@ -94,13 +96,17 @@ def arrival_pass(a, n):
 
 @inline_always
 def run_round(a, blocks, harmonics, oscillates, renews, n, lane_list, c):
-    """Take the first n lanes, a multiple of VECTOR_WIDTH, through one round and return the counts of ``arrival_pass``.
+    """Take the first n lanes (one cell each) through one round: the next step, or an event.
+
+    Return the counts of ``arrival_pass``.
+
+    n is a multiple of VECTOR_WIDTH.
 
     a             fields of all lanes
-    blocks        number of blocks
+    blocks        number of blocks, the decoupled equations of motion
     harmonics     number of harmonics after the first
     oscillates    whether all blocks of all cells are underdamped
-    renews        whether a lane may need new bounds
+    renews        whether a lane may need new bounds of its signal
     lane_list, c  overwritten
     """
     if renews:

@@ -1,4 +1,7 @@
-"""Many cells at once through whole periods: a lane whose cell has finished takes the next cell of the queue."""
+"""Many cells at once through whole periods, in lanes: slots of vectorised loops that hold one cell each.
+
+A lane whose cell has finished takes the next cell of the queue.
+"""
 
 from typing import NamedTuple
 
@@ -54,15 +57,15 @@ NUMBERS = len(NUMBER)
 
 
 class MotionBatch(NamedTuple):
-    """N cells to advance by some periods each: every field stacked along its first axis.
+    """N cells to advance by some periods each; every field has the cells along its first axis.
 
     oscillators  batch of oscillators
     motions      batch of motions
     periods      (N,)               number of periods wanted
-    completed    (N,)               number of periods completed, before and after
-    levels       (N, LEVELS, 4)     averages of growth, see averages.add_growth
-    weighted     (N, 2)             weighted averages of growth, see averages.add_growth
-    sections     (N, K, n, 2)       the last K section states
+    completed    (N,)               number of periods completed, changed in place
+    levels       (N, LEVELS, 4)     averages of tangent growth, see averages.add_growth
+    weighted     (N, 2)             weighted averages of tangent growth, see averages.add_growth
+    sections     (N, K, n, 2)       the last K states of the decoupled equations at sections, the instants t = k T
     """
 
     oscillators: Oscillator
@@ -76,7 +79,14 @@ class MotionBatch(NamedTuple):
 
 @inline_always
 def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
-    """Load cell r into lane i, at its section, with the constants of its mode."""
+    """Load cell r into lane i (one cell) at the start of a period, with the constants of its machine.
+
+    a      fields of all lanes
+    h      (N, n, 2) states of the decoupled equations of all cells
+    tally  (N, TALLIES) counts of all cells
+
+    The other arguments are fields of the batch of machines, see Oscillator and GuardedFlow.
+    """
     for f in range(NUMBERS):
         a[LANE.omega + f * STRIDE + i] = numbers[r, f]
     for f in range(OF_LANE):
@@ -112,7 +122,11 @@ def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
 
 @inlined
 def save(a, i, r, h, tally):
-    """Write the section state of lane i back to its cell."""
+    """Write state and counts of lane i (one cell), at the end of a period, back to cell r.
+
+    h      (N, n, 2) states of the decoupled equations of all cells, changed in place
+    tally  (N, TALLIES) counts of all cells, changed in place
+    """
     for j in range(h.shape[1]):
         b = LANE_SIZE + j * BLOCK_SIZE + i
         h[r, j, 0], h[r, j, 1] = a[b + BLOCK.h0], a[b + BLOCK.h1]
@@ -127,7 +141,7 @@ def save(a, i, r, h, tally):
 
 @inlined
 def record(a, i, impacts):
-    """Record the impact that lane i has reached if impacts (K, 3) has room."""
+    """Write the impact that lane i (one cell) has reached to the next row of ``impacts`` (K, 3), if there is room."""
     row = int(a[LANE.recorded + i])
     if row < impacts.shape[0]:
         impacts[row, 0], impacts[row, 1] = a[LANE.flight_start + i], a[LANE.event + i]
@@ -137,7 +151,7 @@ def record(a, i, impacts):
 
 @inlined
 def keep_section(h, r, k, periods, sections):
-    """Store the state after period k if it is among the last ones wanted."""
+    """Copy the state of cell r after period k to ``sections`` (N, K, n, 2) if the period is one of the last K."""
     row = k - (periods - sections.shape[1])
     if row >= 0:
         for j in range(h.shape[1]):
@@ -146,14 +160,17 @@ def keep_section(h, r, k, periods, sections):
 
 @kernel
 def move_lane(a, source, target):
-    """Copy lane ``source`` to lane ``target``."""
+    """Copy all fields of the cell in lane ``source``, a slot of the loops, to lane ``target``."""
     for f in range(len(a) // STRIDE):
         a[f * STRIDE + target] = a[f * STRIDE + source]
 
 
 @kernel
 def park(a, i):
-    """Fill an unused lane with a mass at rest without forces, for the passes to run over."""
+    """Fill lane i, which holds no cell, with a mass at rest without forces, over which the loops can run.
+
+    A lane is a slot of the loops.
+    """
     for f in range(len(a) // STRIDE):
         a[f * STRIDE + i] = 0.0
     a[LANE.upper + i], a[LANE.lower + i], a[LANE.period + i] = 1.0, -1.0, 1.0
@@ -167,9 +184,10 @@ def is_finished(r, completed, periods, tally):
 
 @inline_always
 def go_alone(batch, r):
-    """Take cell r through a period in which it sticks or needs many steps, by the kernels of one cell.
+    """Advance cell r by a period in which it sticks on a stop or needs many steps, by the kernels of one cell.
 
-    Its periods continue in this way until the cell is in free flight at a section; lanes then take it again.
+    Its periods continue in this way until the cell is in free flight at the end of a period; vectorised loops then take
+    it again.
     """
     motion, osc = row_of(batch.motions, r), row_of(without_mode_table(batch.oscillators), r)
     vectors = motion.growth.shape[0] > 0
@@ -191,7 +209,7 @@ def go_alone(batch, r):
 
 @kernel
 def run_alone(batch, cells):
-    """Do ``run_batch`` for cells that may grow, one after the other."""
+    """Apply ``run_batch``, the advance of cells by their periods, to cells whose motion may grow, one by one."""
     batch = by_reference(batch)
     for r in cells:
         if batch.completed[r] == 0:
@@ -205,9 +223,9 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     """Advance these cells of a batch by their periods, or until their motion or their evaluations end.
 
     batch       its arrays change, see MotionBatch
-    enough      minimum number of active cells; once fewer are active, each stops at its next section
-    lanes       maximum number of active cells, at most LANES
-    oscillates  whether all blocks of all these cells are underdamped
+    enough      minimum number of active cells; once fewer are active, each stops at the end of its period
+    lanes       maximum number of active cells, at most LANES, the number of slots of the loops
+    oscillates  whether all blocks, the decoupled equations, of all these cells are underdamped
     """
     batch = by_reference(batch)
     gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau

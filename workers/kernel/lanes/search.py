@@ -1,6 +1,7 @@
-"""The next time of every lane, certified or an arrival: one step of the loop of crossing.next_crossing.
+"""The certified search for impacts in all lanes at once: the next time of each lane before which it passes no stop.
 
-Each function is a loop over the first n lanes; ``a`` holds the fields of all lanes, see ``layout.py``. Work for few
+A lane is a slot of the loops that holds one cell. Each function is a loop over the first n lanes, and together they are
+one step of the loop of crossing.next_crossing. ``a`` holds the fields of all lanes, see ``layout.py``. Work for few
 lanes is gathered in ``c``, see GapFields.
 """
 
@@ -20,9 +21,10 @@ save."""
 
 @kernel
 def approach_pass(a, n):
-    """Set the time of certain contact with the stop ahead of each mass, if known, else a safe time.
+    """Set, for the stop toward which each mass moves, the time of certain contact; if it is unknown, a safe time.
 
-    The gap and bounds of the longest step that is safe from the stop are set too.
+    In a safe time the stop is certainly not reached. The distance of the stop and the limit of the safe time are set
+    too. ``a`` are the fields of n lanes, which hold one cell each.
     """
     for i in range(n):
         upper, lower = a[LANE.upper + i], a[LANE.lower + i]
@@ -47,7 +49,10 @@ def approach_pass(a, n):
 
 @kernel
 def retreat_pass(a, n):
-    """Set the gap and a safe time for the stop behind each mass; return how many lanes seek a longer time."""
+    """Set, for the stop from which each mass moves away, its distance and a safe time, in which it is not reached.
+
+    Return how many lanes seek a longer safe time. ``a`` are the fields of n lanes, which hold one cell each.
+    """
     count = 0
     for i in range(n):
         step, ahead, upper, lower = a[LANE.step + i], a[LANE.side + i], a[LANE.upper + i], a[LANE.lower + i]
@@ -69,15 +74,16 @@ def retreat_pass(a, n):
 
 @inlined
 def padded_count(count):
-    """Return the next multiple of VECTOR_WIDTH: the length of loops over ``count`` lanes."""
+    """Return the next multiple of VECTOR_WIDTH from ``count`` on: the number of cells over which loops run."""
     return -(-count // VECTOR_WIDTH) * VECTOR_WIDTH
 
 
 @kernel
 def list_lanes(a, field, n, lane_list):
-    """List the lanes with this field set in ``lane_list`` and return their number.
+    """Write the numbers of the lanes whose field is positive to ``lane_list``, and return how many they are.
 
-    The loop is branch-free, since the processor would often mispredict a branch.
+    A lane holds one cell. ``field`` is the offset of the field in the array a of all lanes' fields; the first n lanes
+    count. The loop is branch-free, since the processor would often mispredict a branch.
     """
     count = 0
     for i in range(n):
@@ -88,7 +94,10 @@ def list_lanes(a, field, n, lane_list):
 
 @inline_always
 def gather(a, lane_list, count, c):
-    """Gather the gaps of lanes lane_list[:count] to their stops as GapFields in c; return the length of their loops."""
+    """Copy the gaps between cells and their stops to contiguous arrays in c, for the cells in lanes lane_list[:count].
+
+    For the arrays see GapFields. Return the number of cells over which loops on c run.
+    """
     for e in range(count):
         i = lane_list[e]
         side = a[LANE.side + i]
@@ -103,7 +112,10 @@ def gather(a, lane_list, count, c):
 
 @kernel
 def advance_pass(a, n):
-    """Set the longest step found between the bounds of ``approach_pass``."""
+    """Set the step of each of n lanes (one cell each) to the longest time found to be safe from the stop ahead.
+
+    It lies between the bounds that ``approach_pass`` has set. Lanes that need no search keep their step.
+    """
     for i in range(n):
         ahead, g, L, U = a[LANE.side + i], a[LANE.gap + i], a[LANE.safe_time + i], a[LANE.limit + i]
         v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
@@ -113,7 +125,7 @@ def advance_pass(a, n):
 
 @kernel
 def close_in_pass(c, n):
-    """Set the time for which each gathered gap stays open, within its bounds."""
+    """Set the longest time found for which each of n gathered gaps stays open, between its bounds; see GapFields."""
     for e in range(n):
         g, v, push, jerk = c[GAP.gap + e], c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e]
         M2_, M3_, M4_ = c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e]
@@ -122,14 +134,17 @@ def close_in_pass(c, n):
 
 @inline_always
 def scatter(a, lane_list, count, c):
-    """Take the gathered times as the steps of their lanes."""
+    """Set the steps, the times by which the lanes lane_list[:count] advance, to the safe times gathered in c.
+
+    A lane holds one cell.
+    """
     for e in range(count):
         a[LANE.step + lane_list[e]] = c[GAP.low + e]
 
 
 @inline_always
 def safe_steps(a, n, lane_list, c):
-    """Set a step that is safe from both stops, for every lane without certain contact."""
+    """Set a step in which neither stop is reached, for each of n lanes (one cell each) without certain contact."""
     approach_pass(a, n)
     advance_pass(a, n)
     if retreat_pass(a, n) > 0:
@@ -140,7 +155,7 @@ def safe_steps(a, n, lane_list, c):
 
 @kernel
 def step_pass(a, n):
-    """Set the next event and time of each lane."""
+    """Set the next event and time of each of n lanes (one cell each), from its step or its time of certain contact."""
     for i in range(n):
         s, step, contact, ahead = a[LANE.time + i], a[LANE.step + i], a[LANE.contact_time + i], -a[LANE.side + i]
         reach = a[LANE.bound0 + i] * (1.0 + 1e-12)

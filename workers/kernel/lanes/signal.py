@@ -1,7 +1,8 @@
-"""The signal y(t) of every lane with its derivatives, and bounds of them for all later times: sums over blocks.
+"""The gap coordinate y(t) of every lane with its derivatives, and bounds of them for all later times.
 
-Each function is a loop over the first n lanes. ``a`` holds the fields of all lanes, ``q`` those of one block, see
-``layout.py``.
+A lane is a slot of vectorised loops that holds one cell. Each function is a loop over the first n lanes. y is a sum
+over the harmonics of the force and over blocks, the decoupled equations of motion. ``a`` holds the fields of all lanes,
+``q`` those of one block, see ``layout.py``.
 """
 
 from workers.kernel.flow import fall, flow_entries, oscillating_flow
@@ -13,20 +14,27 @@ from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, 
 
 @kernel
 def fields_of(a, j):
-    """Return the fields of block j of all lanes."""
+    """Return the part of the array a, the fields of all cells, that belongs to block j, a decoupled equation."""
     return a[LANE_SIZE + j * BLOCK_SIZE : LANE_SIZE + (j + 1) * BLOCK_SIZE]
 
 
 @kernel
 def fields_of_harmonic(a, blocks, k):
-    """Return the fields of harmonic k + 2 of all lanes, which lie behind the fields of all ``blocks``."""
+    """Return the part of the array a, the fields of all cells, that belongs to harmonic k + 2 of the force.
+
+    It lies behind the fields of all ``blocks``, the number of decoupled equations.
+    """
     first = LANE_SIZE + blocks * BLOCK_SIZE
     return a[first + k * HARMONIC_SIZE : first + (k + 1) * HARMONIC_SIZE]
 
 
 @kernel
 def forced_pass(a, n):
-    """Start the sums of the signal and its derivatives at LANE.time with the forced part."""
+    """Set the gap coordinate of each of n cells, with its derivatives, to the part of the force's first harmonic.
+
+    The time is LANE.time. Contributions of other harmonics and of blocks, the decoupled equations, are added
+    afterwards.
+    """
     for i in range(n):
         w = a[LANE.omega + i]
         phase = fma(w, a[LANE.time + i], a[LANE.flight_phase + i])
@@ -44,7 +52,10 @@ def forced_pass(a, n):
 
 @inlined
 def absent(q, n):
-    """Return True if no lane has this harmonic: a force lacks most orders below its highest."""
+    """Return True if none of the first n cells has this harmonic of the force; ``q`` are the fields of the harmonic.
+
+    A force lacks most orders below its highest.
+    """
     for i in range(n):  # noqa: SIM110 - a kernel has no generators
         if q[HARMONIC.sin_part + i] != 0.0 or q[HARMONIC.cos_part + i] != 0.0:
             return False
@@ -53,7 +64,10 @@ def absent(q, n):
 
 @kernel
 def harmonic_pass(a, q, order, n):
-    """Add the harmonic of this order, with fields q, to the sums that ``forced_pass`` began."""
+    """Add the contribution of a harmonic of the force, of this order, to the gap coordinate of each of n cells.
+
+    ``q`` are the fields of the harmonic. Derivatives are included.
+    """
     if absent(q, n):
         return
     for i in range(n):
@@ -73,7 +87,10 @@ def harmonic_pass(a, q, order, n):
 
 @inlined
 def output_of(q, i, h0, h1):
-    """Return signal.block_output of a state of one block of lane i."""
+    """Return the contribution of a block in the state (h0, h1) to the gap coordinate in lane i, with three derivatives.
+
+    A lane holds one cell. A block is a decoupled equation of motion, with fields q. See signal.block_output.
+    """
     eta, lam = q[BLOCK.eta + i], q[BLOCK.lam + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return block_output(h0, h1, eta, lam, c0, c1, cA0, cA1)
@@ -81,7 +98,10 @@ def output_of(q, i, h0, h1):
 
 @inlined
 def loaded_output_of(q, i, h0, h1):
-    """Return signal.loaded_output of a state of one block of lane i."""
+    """Return ``output_of`` for a block that may bear a load, see signal.loaded_output.
+
+    It is the contribution of a block, a decoupled equation of motion, to the gap coordinate.
+    """
     eta, lam, load = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.load + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
@@ -89,7 +109,12 @@ def loaded_output_of(q, i, h0, h1):
 
 @inlined
 def state_after(q, i, flow):
-    """Return the state of one block of lane i after a flow from the start of the flight; store the flow."""
+    """Return the state of one block, a decoupled equation, in lane i after the flow since the start of the flight.
+
+    A lane holds one cell.
+
+    flow  four numbers of the flow's matrix, see flow.flow_entries; they are stored
+    """
     f11, f12, f21, f22 = flow
     q[BLOCK.f11 + i] = f11
     q[BLOCK.f12 + i] = f12
@@ -101,7 +126,10 @@ def state_after(q, i, flow):
 
 @inlined
 def add_share(a, q, i, h0, h1, share):
-    """Store the state of one block of lane i and add its contribution to the signal."""
+    """Store the state (h0, h1) of a block, and add its contribution ``share`` to the gap coordinate in lane i.
+
+    A lane holds one cell. A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
+    """
     q0, q1, q2, q3 = share
     q[BLOCK.h0 + i] = h0
     q[BLOCK.h1 + i] = h1
@@ -114,7 +142,10 @@ def add_share(a, q, i, h0, h1, share):
 
 @kernel
 def oscillating_block_pass(a, q, n):
-    """Advance one block, underdamped in every lane, to LANE.time and add its contribution to the signal."""
+    """Do ``block_pass`` for a block that is underdamped in every cell and bears no load.
+
+    A block is a decoupled equation of motion.
+    """
     for i in range(n):
         eta, lam, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
         h0, h1 = state_after(q, i, oscillating_flow(a[LANE.time + i], eta, lam, w, inv_w))
@@ -123,7 +154,10 @@ def oscillating_block_pass(a, q, n):
 
 @kernel
 def block_pass(a, q, n):
-    """Advance one block to LANE.time and add its contribution to the signal, for any damping and load."""
+    """Advance one block, a decoupled equation of motion, to LANE.time in each of n cells, and add it to y.
+
+    y is the gap coordinate, with its derivatives. Any damping and load are allowed.
+    """
     for i in range(n):
         s, load = a[LANE.time + i], q[BLOCK.load + i]
         eta, lam, d, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.d + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
@@ -135,7 +169,11 @@ def block_pass(a, q, n):
 
 @kernel
 def restart_pass(a, n):
-    """Restart the sums of the signal at the start of a flight, and those of its bounds there and at renewals."""
+    """Reset the sums that make up the gap coordinate and its bounds, in each of n cells where they are computed anew.
+
+    The gap coordinate is reset at the start of a flight, and begins with the forced part. Its bounds are reset at
+    renewals as well, and begin with those of the forced part. Other cells keep their values.
+    """
     for i in range(n):
         y, v, second, third = (
             a[LANE.forced + i],
@@ -160,7 +198,11 @@ def restart_pass(a, n):
 
 @inlined
 def state_at_start(a, q, i):
-    """Return the state of a block for new bounds; at the start of a flight the state after the kick of the impact."""
+    """Return the state of a block in lane i from which new bounds follow: its state now, after the kick of an impact.
+
+    A lane holds one cell. A block is a decoupled equation of motion. An impact has just kicked it if a flight starts.
+    The state at the start of the flight is then stored.
+    """
     fresh = a[LANE.starts + i] > 0.0
     g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
     dv, dy = a[LANE.kick + i], a[LANE.shift + i]
@@ -174,7 +216,10 @@ def state_at_start(a, q, i):
 
 @inlined
 def share_at_start(a, i, share):
-    """Add a block's contribution to the sums at the start of a flight."""
+    """Add a block's contribution ``share`` to the gap coordinate in lane i, if a flight starts there.
+
+    A lane holds one cell. A block is a decoupled equation of motion. ``share`` has the value and three derivatives.
+    """
     fresh = a[LANE.starts + i] > 0.0
     q0, q1, q2, q3 = share
     a[LANE.y + i] = a[LANE.y + i] + q0 if fresh else a[LANE.y + i]
@@ -186,13 +231,16 @@ def share_at_start(a, i, share):
 
 @inlined
 def amplitude_factors(q, i):
-    """Return the factors of kernel.signal.amplitude_bounds for one block of lane i."""
+    """Return the constants of one block, a decoupled equation with fields q, that signal.amplitude_bounds needs."""
     return q[BLOCK.tilt + i], q[BLOCK.weight + i], q[BLOCK.grow2 + i], q[BLOCK.grow3 + i], q[BLOCK.grow4 + i]
 
 
 @inlined
 def add_bounds(a, i, bounds):
-    """Add a block's bounds to the sums that are computed anew."""
+    """Add the bounds of a block, a decoupled equation, to those of the gap coordinate in lane i.
+
+    A lane holds one cell. Nothing is added in lanes whose bounds are not renewed.
+    """
     renew = a[LANE.renews + i] > 0.0
     b0, b2, b3, b4 = bounds
     a[LANE.bound0 + i] = a[LANE.bound0 + i] + b0 if renew else a[LANE.bound0 + i]
@@ -203,7 +251,7 @@ def add_bounds(a, i, bounds):
 
 @kernel
 def oscillating_bounds_pass(a, q, n):
-    """Add the contribution of one block, underdamped in every lane, to the sums that ``restart_pass`` began."""
+    """Do ``bounds_pass`` for a block, a decoupled equation of motion, that is underdamped in every cell."""
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = output_of(q, i, h0, h1)
@@ -214,7 +262,10 @@ def oscillating_bounds_pass(a, q, n):
 
 @kernel
 def bounds_pass(a, q, n):
-    """Add the contribution of one block, for any damping, to the sums that ``restart_pass`` began."""
+    """Add the contribution of one block, a decoupled equation of motion, to the sums that ``restart_pass`` has reset.
+
+    The sums are the gap coordinate at the start of a flight, and its bounds, in each of n cells.
+    """
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = loaded_output_of(q, i, h0, h1)
@@ -228,7 +279,12 @@ def bounds_pass(a, q, n):
 
 @inline_always
 def renewal_pass(a, blocks, oscillates, n):
-    """Set the signal at the start of a flight, and its bounds there and at renewals; see rounds.run_round."""
+    """Compute the gap coordinate anew at the start of a flight, and its bounds there and at renewals, in n cells.
+
+    a           fields of all cells
+    blocks      number of blocks, the decoupled equations of motion
+    oscillates  whether all are underdamped in all cells
+    """
     restart_pass(a, n)
     for j in range(blocks):
         if oscillates:

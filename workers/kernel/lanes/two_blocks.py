@@ -1,7 +1,8 @@
-"""Tangent frames of four vectors of two blocks (two masses): a whole frame at a time, its numbers in registers.
+"""Tangent vectors of machines with two blocks (two masses), four for each cell: all four at a time, in registers.
 
-Each function is a loop over lanes, or over gathered frames. The results have the same bits as the passes of
-``frames.py``, which take one vector at a time. Arrays are flat with constant offsets, see ``layout.py``.
+Each function is a loop over lanes, slots that hold one cell each, or over cells that were gathered. The results have
+the same bits as the passes of ``frames.py``, which take one vector at a time. Arrays are flat with constant offsets,
+see ``layout.py``.
 """
 
 import math
@@ -19,25 +20,31 @@ VECTOR = 4 * STRIDE
 
 @inlined
 def read(U, e):
-    """Return the four numbers of a tangent vector of a frame, from index e of the array U on."""
+    """Return the four numbers of a tangent vector of one cell, from index e of the array U of many cells on."""
     return U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE]
 
 
 @inlined
 def write(U, e, u):
-    """Write the four numbers u of a tangent vector of a frame, from index e of the array U on."""
+    """Write the four numbers u of a tangent vector of one cell, from index e of the array U of many cells on."""
     U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE] = u
 
 
 @inlined
 def product(p, q, u, w):
-    """Return ``tangent.inner`` of two vectors, with p and q the metric of the blocks."""
+    """Return ``tangent.inner`` of two tangent vectors of four numbers, two for each decoupled equation of motion.
+
+    p and q are the metric of both equations.
+    """
     return fma(u[3], w[3], fma(q * u[2], w[2], fma(u[1], w[1], fma(p * u[0], w[0], 0.0))))
 
 
 @inlined
 def without(p, q, u, w):
-    """Return the vector w without its component along the unit vector u."""
+    """Return the tangent vector w without its component along the unit vector u.
+
+    p and q are the metric of both decoupled equations.
+    """
     overlap = product(p, q, u, w)
     return (
         fma(-overlap, u[0], w[0]), fma(-overlap, u[1], w[1]), fma(-overlap, u[2], w[2]), fma(-overlap, u[3], w[3])
@@ -46,7 +53,11 @@ def without(p, q, u, w):
 
 @inlined
 def unit(p, q, u, exists):
-    """Return the unit vector along u, or zero if it does not exist, and the logarithm of its length."""
+    """Return the unit vector along u and the logarithm of u's length.
+
+    p and q are the metric of both decoupled equations. If ``exists`` is False, since the direction is lost, return a
+    zero vector and -infinity.
+    """
     norm = math.sqrt(product(p, q, u, u))
     inverse = 1.0 / norm if exists else 0.0
     return (u[0] * inverse, u[1] * inverse, u[2] * inverse, u[3] * inverse), log(norm if exists else 0.0)
@@ -54,7 +65,10 @@ def unit(p, q, u, exists):
 
 @kernel
 def orthonormalise_frames(metric, rank, U, growth, count):
-    """Apply tangent.orthonormalise to ``count`` frames at once, see frames.normalise_pass."""
+    """Apply tangent.orthonormalise to the four tangent vectors of each of ``count`` cells.
+
+    For the arrays see frames.normalise_pass.
+    """
     for i in range(count):
         p, q, directions = metric[i], metric[2 * STRIDE + i], rank[i]
         u, v, w, x = read(U, i), read(U, VECTOR + i), read(U, 2 * VECTOR + i), read(U, 3 * VECTOR + i)
@@ -77,7 +91,10 @@ def orthonormalise_frames(metric, rank, U, growth, count):
 
 @inlined
 def flown(a, i, flows, u):
-    """Return the tangent vector u, four numbers, after the flight of lane i, if a flight has just been completed."""
+    """Return the tangent vector u, four numbers, after the flight just completed in lane i, which holds one cell.
+
+    ``flows`` is True if a flight has been completed; otherwise u is returned unchanged.
+    """
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     w0 = fma(a[first + BLOCK.f11], u[0], a[first + BLOCK.f12] * u[1])
     w1 = fma(a[first + BLOCK.f21], u[0], a[first + BLOCK.f22] * u[1])
@@ -88,7 +105,10 @@ def flown(a, i, flows, u):
 
 @inlined
 def along(a, i, column0, column1, w):
-    """Return the product of the vector w with a row of the gap's guard, given by the block columns of the row."""
+    """Return the product of tangent vector w with a row of the gap coordinate of the cell in lane i.
+
+    The row is given by the offsets column0 and column1 of its numbers in each of both decoupled equations.
+    """
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     total = fma(a[first + column1], w[1], fma(a[first + column0], w[0], 0.0))
     return fma(a[second + column1], w[3], fma(a[second + column0], w[2], total))
@@ -96,7 +116,10 @@ def along(a, i, column0, column1, w):
 
 @inlined
 def kicked(a, i, w):
-    """Return the vector w after the impact of lane i, as in contact.saltation; unchanged without an impact."""
+    """Return the tangent vector w after the impact of the cell in lane i; w itself if there is no impact.
+
+    See contact.saltation.
+    """
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     dy, dv = along(a, i, BLOCK.c0, BLOCK.c1, w), along(a, i, BLOCK.cA0, BLOCK.cA1, w)
     along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
@@ -111,7 +134,10 @@ def kicked(a, i, w):
 
 @kernel
 def transfer_frames(a, frames, n):
-    """Do frames.transfer_pass for all four vectors of the first n lanes: the fields of a lane are read once."""
+    """Carry all four tangent vectors of each of n cells through a completed flight and an impact.
+
+    It does the work of frames.transfer_pass, but reads the fields of a cell once.
+    """
     for i in range(n):
         flows = a[LANE.flows + i] > 0.0
         u, v = read(frames, i), read(frames, VECTOR + i)
