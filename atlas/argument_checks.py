@@ -37,7 +37,8 @@ def validate_interval(name: str, value: object) -> tuple[float, float]:
 
 
 def validate_window(value: object) -> Window:
-    """Return the limits of axes, checked, from an argument by axis name; empty if ``value`` is None.
+    """Check an argument with limits of axes, by axis name, and return it with the limits as floats; empty if it is
+    None.
 
     The names of the axes are not checked.
     """

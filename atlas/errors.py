@@ -101,7 +101,10 @@ def message_of(error: Exception) -> str:
 
 
 def check_names(kind: str, names: Iterable[object], valid: Iterable[str]) -> None:
-    """Raise InputError, naming the nearest known name, at the first name of ``names`` that is not in ``valid``."""
+    """Raise InputError at the first of ``names`` that is not in ``valid``; the message has the nearest valid name.
+
+    ``kind`` says in the message what the names are, such as "axis".
+    """
     valid_names = list(valid)
     for name in names:
         if not isinstance(name, str) or name not in valid_names:

@@ -75,11 +75,15 @@ def byte_size(count: int) -> str:
 
 
 class Summary:
-    """The base class of results that a terminal, a notebook and JSON show: dataclasses with ``rows``."""
+    """Base class of the results of commands, dataclasses that a terminal, a notebook and JSON show by their
+    ``rows``.
+    """
 
     @property
     def rows(self) -> Sequence[tuple[str, ...]]:
-        """The facts, in order: sentences, pairs of a name and a text, and rows of tables."""
+        """The facts to show, in order, each a tuple of texts: a sentence, a pair of a name and a text, or a row of a
+        table.
+        """
         raise NotImplementedError
 
     def __str__(self) -> str:

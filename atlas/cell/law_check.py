@@ -66,7 +66,7 @@ class LawCheck(Summary):
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """The comparison, as sentences."""
+        """The result of the comparison to show, as sentences."""
         lines = [
             f"{where}: {coarse} segments at the defaults, compared with {fine}"
             for where, (coarse, fine) in self.segments.items()
@@ -121,8 +121,8 @@ def check_law(spec: Spec, fine: FinerLaws, cells: int = CELLS) -> LawCheck:
     """Solve a coarse plane of a spec, ``cells`` along each axis, with its own and with finer laws, and compare the
     cells.
 
-    Classes of cells and states of periodic cells are compared. States converge as the square of the segments' length,
-    exponents only within an envelope.
+    Classes of cells and states of periodic cells are compared. The error of states falls as the square of the segments'
+    length. The error of exponents need not fall steadily, so exponents are not compared.
     """
     lines = [
         np.unique(np.asarray(axis.values)[np.linspace(0, len(axis) - 1, cells).round().astype(int)])

@@ -68,12 +68,14 @@ def _checked(
 
 
 def _check(part: StoreBlock, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:
-    """Return the number of arrays of a chunk that are intact, and texts about its faults.
+    """Check a chunk of the overviews, coarser copies of the atlas.
 
     part          the store, for reading cells and overviews
     level, index  level and index of the chunk
     complete      True if the chunk has its ``regime``, which is written last
     over_unsound  True if the chunk covers faulty tiles or chunks, so that it cannot be compared
+
+    Return the number of arrays of the chunk that are intact, and texts about its faults.
     """
     levels = part.pyramid.levels
     block = levels.block(level, index)

@@ -125,7 +125,7 @@ class FollowedBranch:
 
     @cached_property
     def events(self) -> list[BranchMarker]:
-        """The events of the branch, in order along it."""
+        """The events (bifurcations and grazes) of the branch, in order along it."""
         events = zip(self.branch.event_indices, self.branch.run.events, strict=True)
         return [BranchMarker(k, event.kind.replace("_", " "), self.values[k]) for k, event in events]
 

@@ -97,7 +97,7 @@ class CellLookup:
         return self._cell_of(plane, results, (0,), (x, y), (x, y))
 
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
-        """Return the values of both axes at column ``j`` of level ``level_x`` and row ``i`` of level ``level_y``."""
+        """Return the values of the axes at column ``j`` of zoom level ``level_x`` and row ``i`` of ``level_y``."""
         across, up = self.subject.points(CellRange(level_x, j, 1), CellRange(level_y, i, 1))
         return float(across[0]), float(up[0])
 

@@ -83,7 +83,7 @@ class CutPanel(Panel[CutLine]):
         self._link()
 
     def show(self, state: PageState) -> None:
-        """Show the diagrams along the chosen line of the chosen plane."""
+        """Show the diagrams of the cut that the page's state has; hide them if it has none."""
         view, observe = state.view, self._possible[str(self._shows.value)]
         self.set_topic(None if view.cut is None else CutLine(self._subject, view.plane, view.cut, observe))
 

@@ -100,7 +100,7 @@ class Explorer:
 
     @property
     def listeners(self) -> list[Hashable]:
-        """The consumers that are notified of solved tiles."""
+        """The consumers, such as the renderers of pages, that are notified of solved tiles."""
         with self._lock:
             return list(self._listeners)
 

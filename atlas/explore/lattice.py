@@ -47,12 +47,12 @@ class Lattice:
 
     @cached_property
     def deepest(self) -> int:
-        """The finest level: neighbouring points still differ by MIN_STEP_ULPS units in the last place of a double."""
+        """The finest zoom level, whose points still differ by MIN_STEP_ULPS units in the last place of a double."""
         steps = np.diff(self._points) / np.spacing(np.abs(self._points).max())
         return max(0, math.floor(math.log2(float(steps.min()) / MIN_STEP_ULPS)))
 
     def values(self, level: int, index: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the values (N,) of the points of a level with the indices ``index`` (N,)."""
+        """Return the values (N,) of the points of a zoom level with the indices ``index`` (N,)."""
         if level > 0:
             point_index, rest = np.divmod(index, 1 << level)
             share = rest / (1 << level)  # exact: a power of two
@@ -78,11 +78,11 @@ class Lattice:
         return bool(abs(last - first) * 2.0**self.deepest * MIN_STEP_ULPS > 1.0)
 
     def nearest(self, level: int, value: float) -> int:
-        """Return the index of the point, at a level, whose cell contains the axis value ``value``."""
+        """Return the index of the point of a zoom level whose cell contains the axis value ``value``."""
         return math.floor(float(self.positions(np.array([value]))[0]) * 2.0**level + 0.5)
 
     def edges(self, level: int, first: int, last: int) -> tuple[float, float]:
-        """Return the lower edge of cell ``first`` and the upper edge of cell ``last`` of a level."""
+        """Return the lower edge of cell ``first`` and the upper edge of cell ``last`` of a zoom level."""
         low, high = self.values(level + 1, np.array([2 * first - 1, 2 * last + 1]))
         return float(low), float(high)
 
@@ -92,7 +92,7 @@ class Lattice:
         return self.edges(0, 0, len(self.axis) - 1)
 
     def level(self, low: float, high: float, pixels: int) -> int:
-        """Return the finest level whose cells are not narrower than the pixels of a window.
+        """Return the finest zoom level whose cells are not narrower than the pixels of a window.
 
         low, high   limits of the window
         pixels      width of the window, in pixels

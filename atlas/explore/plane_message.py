@@ -131,7 +131,7 @@ def _lines(
 
 
 def _axis(lattice: Lattice, cells: CellRange) -> dict[str, Any]:
-    """Return the edges, number and level of the visible cells along an axis, for the browser.
+    """Return the edges, number and zoom level of the visible cells along an axis, for the browser.
 
     If the cells are equally wide on the axis's scale, only the outer two edges are given.
     """

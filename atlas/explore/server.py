@@ -3,9 +3,9 @@
 Every user of this machine can reach its loopback, and others can reach another address or a proxy. Therefore a page is
 sent only to requests with the server's token, and a websocket is opened only for sessions that such a page signed.
 
-Any web page that the user has open can send requests to the server. By a name of its own that resolves to this machine,
-such a page may even read the answers. Therefore requests on the loopback, without a proxy, must also name the server's
-own address as the host. If they name an origin, the origin must be this address, too.
+Any web page that the user has open can send requests to the server. By a host name of its own that resolves to this
+machine (DNS rebinding), such a page may even read the answers. Therefore requests on the loopback, without a proxy,
+must also name the server's own address as the host. If they name an origin, the origin must be this address, too.
 """
 
 import asyncio

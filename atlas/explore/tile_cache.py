@@ -27,8 +27,8 @@ MAX_REMEMBERED_ROWS = 4096
 class MemoryTileCache:
     """The most recently viewed tiles of several owners, up to a total size; other tiles are evicted.
 
-    ``owner`` is the object whose tiles they are, ``plane`` the fixed parameters, and ``key`` the level and index of a
-    tile.
+    ``owner`` is the object whose tiles they are, ``plane`` the fixed parameters, and ``key`` the zoom level and index
+    of a tile.
     """
 
     def __init__(self, most_bytes: int = MAX_BYTES) -> None:

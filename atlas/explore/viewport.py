@@ -34,7 +34,7 @@ class CellRange:
 
     @classmethod
     def from_window(cls, lattice: Lattice, low: float, high: float, pixels: int) -> "CellRange":
-        """Return the cells of a window along an axis, at the deepest level whose cells are not finer than pixels.
+        """Return the cells of a window along an axis, at the deepest zoom level whose cells are not finer than pixels.
 
         lattice     the points of the axis at all levels
         low, high   limits of the window
@@ -55,7 +55,7 @@ class CellRange:
         return np.arange(self.first, self.first + self.count, dtype=np.int64)
 
     def tiles(self, stage: int) -> range:
-        """Return the indices of the tiles that contain the cells, at the level that is ``stage`` levels coarser."""
+        """Return the indices of the tiles that contain the cells, at a zoom level that is ``stage`` levels coarser."""
         half = (1 << stage) // 2
         first, last = (((end + half) >> stage) // TILE_CELLS for end in (self.first, self.last))
         return range(first, last + 1)
@@ -63,7 +63,7 @@ class CellRange:
     def slice_of(self, other: "CellRange") -> slice:
         """Return the slice of this range's cells that the range ``other`` covers; may be empty.
 
-        ``other`` is a range of the same level or a coarser one.
+        ``other`` is a range of the same zoom level or a coarser one.
         """
         step = 1 << (self.level - other.level)
         begin, end = (step * number - step // 2 - self.first for number in (other.first, other.first + other.count))
@@ -72,7 +72,7 @@ class CellRange:
     def position_of(self, level: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the positions in this range, counted from 0, of the cells that contain the cells ``index`` of a level.
 
-        ``level`` is that of this range or a finer one.
+        ``level`` is the zoom level of this range or a finer one.
         """
         shift = level - self.level
         return np.asarray(((index + (1 << shift) // 2) >> shift) - self.first)
@@ -80,7 +80,7 @@ class CellRange:
     def away(self, other: "CellRange") -> float:
         """Return the distance from this range's middle to that of ``other``, in lengths of this range.
 
-        ``other`` is a range of the same level or a coarser one.
+        ``other`` is a range of the same zoom level or a coarser one.
         """
         middle = (other.first + 0.5 * other.count) * (1 << (self.level - other.level))
         return (middle - 0.5 * (self.first + self.last)) / self.count
@@ -96,7 +96,7 @@ class TileKey(NamedTuple):
 
     @property
     def parent(self) -> "TileKey":
-        """The key of the tile one level coarser along both axes that contains every fourth cell of this tile."""
+        """The key of the tile one zoom level coarser along both axes that contains every fourth cell of this tile."""
         return TileKey(self.level_x - 1, self.level_y - 1, self.x // 2, self.y // 2)
 
     @property
@@ -122,7 +122,7 @@ class TileKey(NamedTuple):
 
 
 class Viewport(NamedTuple):
-    """The ranges of visible cells along both axes, at the levels of full density: about one cell per pixel."""
+    """The ranges of visible cells along both axes, at the zoom levels of full density: about one cell per pixel."""
 
     x: CellRange
     y: CellRange
@@ -133,7 +133,7 @@ class Viewport(NamedTuple):
         return self.y.count, self.x.count
 
     def tiles(self, stage: int) -> list[TileKey]:
-        """Return the keys of the visible tiles at the levels that are ``stage`` levels coarser, from the centre out.
+        """Return the keys of the visible tiles at zoom levels that are ``stage`` levels coarser, from the centre out.
 
         Distances from the centre are measured in lengths of the viewport, so that a wide viewport does not begin with a
         column.
@@ -143,7 +143,7 @@ class Viewport(NamedTuple):
         return sorted(keys, key=lambda key: self.x.away(key.columns) ** 2 + self.y.away(key.rows) ** 2)[:MAX_TILES]
 
     def stage(self, key: TileKey) -> int:
-        """Return by how many levels a tile is coarser than the viewport, along the axis of the larger difference."""
+        """Return by how many zoom levels a tile is coarser than the viewport, along the axis with more of them."""
         return max(self.x.level - key.level_x, self.y.level - key.level_y)
 
     def contains(self, key: TileKey) -> bool:

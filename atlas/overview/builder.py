@@ -16,7 +16,7 @@ from workers.results import REGIME
 
 
 class OverviewBuilder:
-    """Builds the missing chunks of the overviews during a run that writes the store.
+    """Builds the missing chunks of the overviews, coarser copies of the atlas, during a run that writes the store.
 
     At the start it creates the groups of all levels and drops chunks over tiles that are no longer finished. ``side``
     and ``minimum`` are ``chunk_side`` and ``min_side`` of ``OverviewLevels``; a store with overviews keeps its own.

@@ -113,7 +113,9 @@ class Pyramid:
 
     @cached_property
     def widths(self) -> list[Widths]:
-        """Widths of the cells of every level along each dimension, level 0 first; only their ratios count."""
+        """Widths of the cells of every level along each dimension: the atlas first, then the overviews. Only their
+        ratios count.
+        """
         levels = [widths_along(self.handle.spec)]
         for _ in range(self.levels.count):
             before, n_uncoarsened = levels[-1], self.levels.n_uncoarsened
@@ -121,7 +123,9 @@ class Pyramid:
         return levels
 
     def array(self, level: int, name: str) -> Any:
-        """Return a variable of a level as a Zarr array for reading."""
+        """Return a variable of an overview level, or of the cells themselves for level 0, as a Zarr array for
+        reading.
+        """
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
             node = self.nodes[f"{level}/{name}"] if level else self.handle.nodes[name]
@@ -129,7 +133,7 @@ class Pyramid:
         return self._arrays[path]
 
     def read(self, level: int, name: str, block: Slices) -> NDArray[Any]:
-        """Return the values of a variable in a block of a level's cells.
+        """Return the values of a variable in a block of cells of an overview level, or of the atlas for level 0.
 
         Raise ChunkError if a chunk of the block is missing or damaged.
         """
@@ -141,7 +145,9 @@ class Pyramid:
         return values
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
-        """Return the indices of a level's chunks that exist, by one of the variables MARKS, from one listing."""
+        """Return the indices of the chunks of an overview level that exist, by one of the variables MARKS, from one
+        listing.
+        """
         folder = f"{GROUP}/{level}/{mark.name}/c"
         keys = self.handle.backend.whole_keys(self.handle.backend.list_keys(f"{folder}/"))
         return set(map(tuple, np.argwhere(chunk_mask(keys, folder, self.levels.grid(level))).tolist()))
@@ -180,7 +186,7 @@ class Pyramid:
         return {f"{GROUP}/{level}/{name}": array for level in levels for name, array in by_level[level].items()}
 
     def build_chunk(self, level: int, index: Index) -> None:
-        """Compute a chunk of a level from the next finer level and write it, ``regime`` last.
+        """Compute a chunk of an overview level from the next finer level and write it, ``regime`` last.
 
         All tiles below the chunk must be finished. Raise RunError if cells below stay pending.
         """
@@ -323,5 +329,5 @@ def _stored_shapes(data: bytes | None) -> dict[str, int] | None:
 
 
 def level_key(level: int, variable: Variable, index: Index) -> str:
-    """Return the key of the object with a chunk of a variable of a level."""
+    """Return the key of the object with a chunk of a variable of an overview level."""
     return f"{GROUP}/{level}/{chunk_key(variable, index)}"

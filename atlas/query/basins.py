@@ -12,7 +12,7 @@ Uncertainty  (McDonald et al., Physica D 17 (1985) 125) An initial state is unce
              binomial errors of the shares. Its error is the error of the fit, times the root of chi^2 per degree of
              freedom if chi^2 per degree of freedom exceeds 1. Distances are counted in initial states along both axes.
              Where labels are mixed, f saturates: labels drawn at random with shares p have f = 1 - sum p^(1 + 2 axes).
-             Distances at which f exceeds the part SATURATED of that value are left out. With fewer than MIN_DISTANCES
+             Distances at which f exceeds SATURATED times that value are left out. With fewer than MIN_DISTANCES
              distances there is no exponent: the boundary is finer than the initial states.
 """
 

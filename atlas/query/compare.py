@@ -259,7 +259,7 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
 
 
 def check_same_axis(ds: "xr.Dataset", against: "xr.Dataset") -> None:
-    """Raise InputError unless two sweeps have the same points on one axis and equal fixed parameters."""
+    """Raise InputError unless two sweeps, atlases over one axis, have the same points and equal fixed parameters."""
     (name,), others = axis_names(ds), axis_names(against)
     if others != (name,):
         raise InputError(f"the atlases have different axes: {name} and {', '.join(others)}")

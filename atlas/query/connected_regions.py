@@ -32,17 +32,17 @@ def regions(
 
     Each region is a dict with the keys:
 
-    label           its number, from 1, as in ``labels``
-    by (its value)  its regime, period or impact pattern, as in ``CellClassifier``
-    cells           number of its cells
-    area            area of its cells, from edge to edge, in the units of the axes; for a sweep the length
-    share           its fraction of the area of ``window``, by default of the plane
-    centre          centre of its area, by axis; may lie outside a bent region
-    cell            parameters, by axis, of its cell nearest to the mean position of its cells, for ``at`` or
+    label           number of the region, from 1, as in ``labels``
+    by (its value)  regime, period or impact pattern of the region, as in ``CellClassifier``
+    cells           number of cells
+    area            area of the cells, from edge to edge, in the units of the axes; for a sweep the length
+    share           fraction of the area of ``window``, by default of the plane
+    centre          centre of the area, by axis; may lie outside a bent region
+    cell            parameters, by axis, of the cell nearest to the mean position of the cells, for ``at`` or
                     ``portrait``
-    box             (low, high) edges of its bounding box, by axis
-    cut             where it may extend further: ``lowest omega`` or ``highest b`` for an edge of the plane or of
-                    ``window`` that it touches, and ``pending cells``; empty if it is complete
+    box             (low, high) edges of the bounding box, by axis
+    cut             where the region may go on: ``lowest omega`` or ``highest b`` for an edge of the plane or of
+                    ``window`` that it touches, and ``pending cells``; empty if the region is complete
 
     ``value`` selects one class, such as 3 for period 3; ``regions(ds, "chaotic")`` selects a regime. Regions of fewer
     than ``min_cells`` cells are left out. Raise InputError for an unknown axis or class, and for a ``window`` without a

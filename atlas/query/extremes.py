@@ -31,11 +31,12 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     error           error of the exponent, for the variable ``largest`` only
     cells           number of cells compared
 
-    Of equal values the first counts, row by row. Only finite values of solved cells are compared. Exponents of -inf are
-    not, nor exponents of cells without a class, since the average of an undetermined cell may be far off. Periods are
-    compared for periodic cells only. Infinitely many impacts (of sticking motions) are omitted, and so are classes
-    without values. Raise InputError for a variable without one number per cell, and as ``regions`` does. The variable
-    and the variables that determine the class are read, in tiles with such cells.
+    If several cells have the same extreme value, the first of them counts, row by row. Only finite values of solved
+    cells are compared. Exponents of -inf are left out, and so are exponents of cells without a class, since the average
+    of an undetermined cell may be far off. Periods are compared for periodic cells only. Infinitely many impacts (of
+    sticking motions) are omitted, and so are classes without values. Raise InputError for a variable without one number
+    per cell, and as ``regions`` does. The variable and the variables that determine the class are read, in tiles with
+    such cells.
     """
     check_name("variable", name)
     check_name("by", by)

@@ -122,7 +122,7 @@ class Plane:
     def determined_mask(self) -> Cells:
         """The mask of cells whose class of motion is known.
 
-        All other cells have averages that must not be shown as results.
+        Numbers of other cells are averages, which must not be shown as results.
         """
         return determined(self.regime)
 

@@ -228,10 +228,10 @@ def boundary(ds: "xr.Dataset", regime: str, other: str | None = None, window: Wi
     other   the regime on the other side
 
     The lines are contours half way between neighbouring cells, in the units of the axes, known to half a cell. If
-    ``other`` is given, only borders between the two regimes are traced. Borders with pending cells never are. Closed
-    lines end at their first point. In windows of more than BOUNDARY_CELLS cells per side, lines are traced on the
-    overview next in size. Raise InputError for an unknown regime or axis, for a window without a cell, and for an atlas
-    without exactly two axes.
+    ``other`` is given, only borders between the two regimes are traced. Borders with pending cells are left out.
+    Closed lines end at their first point. In windows of more than BOUNDARY_CELLS cells per side, lines are traced
+    on the overview next in size. Raise InputError for an unknown regime or axis, for a window without a cell, and
+    for an atlas without exactly two axes.
     """
     import contourpy
     import pandas as pd

@@ -168,7 +168,10 @@ def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> 
 
 
 def _blank(cells: Cells) -> None:
-    """Remove, in place, values of coarse cells that are no results of the coarse cell's regime, such as its period."""
+    """Remove, in place, values of coarse cells that are no results of the coarse cell's regime.
+
+    For example, a coarse cell that is shown as chaotic has no period.
+    """
     regime = cells[REGIME.name]
     for name in cells.keys() - {REGIME.name, REGIME_SHOWN.name, SHARE.name}:
         if name in CLASSES:

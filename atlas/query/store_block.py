@@ -62,8 +62,8 @@ def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice
 def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
     """Return True if a variable is still the lazily opened array of the store, with all its inner dimensions.
 
-    To find out, its first value is requested while chunk reads are skipped: an unmodified variable asks for this array,
-    a computed, loaded or assigned one does not. A Dask array is recognized by its graph.
+    To find out, the first value of the variable is requested while chunk reads are skipped. An unmodified variable asks
+    for the stored array; a computed, loaded or assigned variable does not. A Dask array is recognized by its graph.
     """
     from atlas.overview.verifying_store import skip_chunk_reads  # imports Zarr, which is slow
 
@@ -142,7 +142,7 @@ class StoreBlock:
         return required_variables(self.pyramid.variables, names)
 
     def undone(self, level: int, piece: Slices) -> list[tuple[int, ...]]:
-        """Return the indices of the unfinished tiles from which cells of a piece of a level are computed."""
+        """Return the indices of the unfinished tiles below the cells ``piece`` of an overview level."""
         tiles = self.pyramid.levels.tiles_below(level, piece)
         return [
             tuple(s.start + i for s, i in zip(tiles, at, strict=True))
@@ -150,11 +150,11 @@ class StoreBlock:
         ]
 
     def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
-        """Read variables of a piece, a part of the cells of a level, by name; ``names`` must contain a regime.
+        """Read variables of the cells ``piece`` of an overview level, by name; ``names`` must contain a regime.
 
-        Chunks of an overview that are missing, damaged or older than their tiles are recomputed from the level below,
-        down to the cells. Cells of unfinished tiles are pending. Raise ChunkError if a chunk of the cells themselves is
-        missing or damaged.
+        Level 0 are the stored cells, each further level is a copy at lower resolution. Chunks of an overview that are
+        missing, damaged or older than their tiles are recomputed from the level below, down to the cells. Cells of
+        unfinished tiles are pending. Raise ChunkError if a chunk of the cells themselves is missing or damaged.
         """
         requested = list(names)
         if level == 0:
@@ -171,7 +171,7 @@ class StoreBlock:
         return arrays
 
     def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
-        """Return stored variables of a piece, a part of the cells of a level, and the slices that must not be used.
+        """Return stored variables of the cells ``piece`` of an overview level, and the slices that must not be used.
 
         Variables are given by name. A slice must not be used if its data are missing, damaged or older than the tiles
         below it.
@@ -192,9 +192,9 @@ class StoreBlock:
     def _read_each(
         self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]
     ) -> tuple[Cells, list[Slices]]:
-        """Return the stored variables of a piece with a damaged chunk, and the slices that must not be used.
+        """Return stored variables of cells of an overview level with a damaged chunk, and the slices not to be used.
 
-        Arguments and results are those of ``read_stored``. ``blocks`` are the parts of the piece in each chunk. Each is
+        Arguments and results are those of ``read_stored``. ``blocks`` are the parts of ``piece`` in each chunk. Each is
         read by itself, which finds the damaged ones.
         """
         arrays, missing = self._pending(piece, names), blocks
@@ -208,20 +208,23 @@ class StoreBlock:
         return arrays, missing
 
     def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
-        """Read variables of stored cells, which are level 0, by name; ``piece`` are the slices of the cells."""
+        """Read variables of the stored cells ``piece``, given by slices, and return them by name."""
         stored = {variable.name for variable in self.handle.variables}
         base = stored & {*names, *(name.removesuffix("_count") for name in names), REGIME.name}
         return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, names)
 
     def _compute(self, level: int, piece: Slices, names: list[str]) -> Cells:
-        """Compute variables of a piece, a part of the cells of a level, from the finer level below, by name."""
+        """Compute variables of the cells ``piece`` of an overview level from those of the finer level below.
+
+        Return them by name.
+        """
         finer = self.pyramid.levels.finer(level, piece)
         widths = tuple(w[f] for w, f in zip(self.pyramid.widths[level - 1], finer, strict=True))
         below = self.read(level - 1, finer, self.required_variables(names))
         return coarsen(below, widths, self.pyramid.levels.coarsened)
 
     def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:
-        """Return variables for a piece, a part of the cells of a level, none of which is solved yet."""
+        """Return variables, by name, for cells ``piece`` of an overview level none of which is solved yet."""
         requested, arrays = set(names), {}
         for variable in self.pyramid.variables:
             if variable.name in requested:
@@ -232,13 +235,15 @@ class StoreBlock:
     def _is_current(self, level: int, block: Slices, marks: NDArray[Any]) -> bool:
         """Return True if an overview has all cells of a block, and every tile below the block is still finished.
 
-        ``marks`` are the regimes of the block's cells; a cell that is not written has the regime pending.
+        level   level of the overview
+        block   slices of the cells
+        marks   regimes of the cells; a cell that is not written has the regime pending
         """
         tiles = self.pyramid.levels.tiles_below(level, block)
         return not (marks == PENDING).any() and bool(self.finished_mask[tiles].all())
 
     def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
-        """Yield the parts of a piece, one for each stored chunk that the piece overlaps, as slices of cells."""
+        """Yield the parts of the cells ``piece`` of an overview level that lie in one stored chunk each, as slices."""
         along = []
         for p, c in zip(piece, self.pyramid.levels.chunk, strict=True):
             cuts = [p.start, *range((p.start // c + 1) * c, p.stop, c), p.stop]
@@ -247,5 +252,5 @@ class StoreBlock:
 
 
 def relative_slices(piece: Slices, block: Slices) -> Slices:
-    """Return the slices of ``block``, a part of ``piece``, counted from the first cell of the piece."""
+    """Return the slices of cells ``block``, which are part of ``piece``, counted from the first cell of ``piece``."""
     return tuple(slice(b.start - p.start, b.stop - p.start) for p, b in zip(piece, block, strict=True))

@@ -56,7 +56,7 @@ class StoreTotals:
 
     @cached_property
     def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
-        """The area of each regime in every tile, by the tile records, and the mask of tiles with known areas.
+        """The area of each regime in every tile, by the records of the tiles, and the mask of tiles with known areas.
 
         Unfinished tiles count as pending as a whole.
         """
@@ -65,10 +65,10 @@ class StoreTotals:
         return areas, self.part.records.known_mask | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
-        """Yield pieces that together are the block, as pairs of a level and slices of whole cells of this level.
+        """Yield the parts of the block to be read, as pairs of an overview level and slices of cells of this level.
 
         The level is as coarse as possible. Level 0 are the cells; each further level has half as many along every
-        dimension.
+        dimension. All parts together are the block.
         """
         levels = self.part.pyramid.levels
         inner: Slices | None = None
@@ -80,9 +80,10 @@ class StoreTotals:
                 inner = levels.finer(level, outer) if level else None
 
     def _areas(self, level: int, piece: Slices) -> NDArray[np.float64]:
-        """Return the area of each regime in a piece, a rectangular part of the cells of a level, in the order of CODES.
+        """Return the area of each regime in the cells ``piece`` of an overview level, in the order of CODES.
 
-        Missing parts of an overview are taken from tile records, or from the level below, down to the cells.
+        Missing parts of an overview are taken from tile records (counts and areas of each tile by regime), or from the
+        level below, down to the cells.
         """
         if level == 0:
             return self._areas_of_cells(piece)
@@ -98,9 +99,9 @@ class StoreTotals:
         return total
 
     def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:
-        """Return the area of each regime in a part of the stored cells, in the order of CODES.
+        """Return the area of each regime in the stored cells ``piece``, in the order of CODES.
 
-        Whole tiles are taken from their tile records, if they have one.
+        Whole tiles are taken from their tile records, which hold areas by regime, if they have one.
         """
         levels = self.part.pyramid.levels
         tiles = levels.tiles_within(0, piece)
@@ -123,7 +124,7 @@ class StoreTotals:
         return self._weighed(0, piece, self.part.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])
 
     def _weighed(self, level: int, piece: Slices, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the area of each regime in a piece, a rectangular part of the cells of a level, in the order of CODES.
+        """Return the area of each regime in the cells ``piece`` of an overview level, in the order of CODES.
 
         ``share`` is the share of each regime in each cell.
         """

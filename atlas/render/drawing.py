@@ -59,8 +59,9 @@ def figure(
     One atlas, as ``atlas.open`` returns it, may be unfinished. A stack of up to MAX_PANELS planes is drawn like several
     atlases. Several atlases are maps with common colour limits, of kind "exponent" or "period", by default the first
     that all of them have. A comparison shows the difference of the exponents, second minus first, if there are
-    exponents, and the second regime of cells whose regimes differ. The orbit of a cell is drawn as its portrait.
-    Branches are drawn as section values over the parameter.
+    exponents, and the regimes of the second atlas where they differ from those of the first. The orbit of a cell is
+    drawn as its portrait. Branches are drawn as the gap coordinate at t = k T, the start of each forcing period, over
+    the parameter.
 
     Only the variables of the kind are read; of a map only the visible chunks, from the overview whose cells are as
     large as pixels. The metadata of a file contain the digest of the atlas. The same atlas gives the same bytes with

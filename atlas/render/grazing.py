@@ -167,10 +167,15 @@ def _roots(ascending: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def grazing_grid(
     system: System, fixed: dict[str, float], x: PlaneAxis, y: PlaneAxis, points: int = POINTS
 ) -> tuple[Array, Array, Array]:
-    """Return points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
+    """Return points along x, points along y and ``grazing_ratio`` over them (y, x), from edge to edge of the map.
 
-    There are ``points`` points along each axis if the axes can be computed separately. Otherwise there are at most
-    POINTS_OF_PAIRS, refined near the line.
+    system   the system
+    fixed    parameters that are not axes, by name
+    x, y     axes of the map
+    points   number of points along each axis
+
+    If the logarithm is a sum of a function of x and one of y, it is computed along each axis alone, at ``points``
+    points. Otherwise there are at most POINTS_OF_PAIRS points, and FINER times as many near the line.
     """
     xs, ys = _points(system, x, points), _points(system, y, points)
     few = [values[[0, points // 3, points // 2, -1]] for values in (xs, ys)]

@@ -90,7 +90,7 @@ class LegendEntry:
 
 
 class CellStyle(NamedTuple):
-    """How cells are drawn: in a colour, or with ``by_number`` in the colours of the map's scalar layer.
+    """How cells are drawn: in a colour, or with ``by_number`` in the colour that the map's colormap gives their number.
 
     ``regime`` is the code of a regime if the cells are drawn like all cells of the regime.
     """
@@ -150,8 +150,9 @@ class ScalarLayer:
         return float(self.norm.vmin or 0.0), float(self.norm.vmax or 0.0)
 
     def colors(self, values: Array) -> Colors:
-        """Return the colours (..., 4), in bytes, of values. Zero has no logarithm and gets the colour of the lower
-        limit.
+        """Return the colours (..., 4), in bytes, of values.
+
+        On a logarithmic scale zero, which has no logarithm, gets the colour of the lower limit.
         """
         least = self.ends[0]
         placed = self.norm(np.where(np.isnan(values), least, np.maximum(values, least)))
@@ -178,7 +179,7 @@ class ShadingLayer(NamedTuple):
 
 
 class PointLayer(NamedTuple):
-    """Points (n, 2) over a map; ``look`` are the arguments of ``style.mark``."""
+    """Points (n, 2) over a map; ``look`` gives their marker, size and colours as arguments of ``style.mark``."""
 
     points: Array
     look: tuple[str, float, str, str, float]
@@ -213,7 +214,7 @@ class MapLayers:
 
     @property
     def entries(self) -> list[LegendEntry]:
-        """The entries of the legend, without that of points."""
+        """The entries of the legend, without the entry of the points."""
         return [*self.legend, *(texture.entry for texture in self.textures if texture.entry is not None)]
 
     @property

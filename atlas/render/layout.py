@@ -182,8 +182,8 @@ class FigureLayout:
     def legend(self, fig: Figure, entries: Sequence[Artist], side_title: str | None = None, **style: Any) -> None:
         """Draw a legend under the plots in as many columns as fit, or to the right if ``side_title`` is a title or "".
 
-        Narrow figures have the legend below. There is no legend without entries, or with ``explained`` False. A long
-        legend extends a figure of default height instead of shrinking the plot.
+        Narrow figures have the legend below. There is no legend without entries, or if ``explained`` of the layout is
+        False. A long legend extends a figure of default height instead of shrinking the plot.
         """
         if not (entries and self.explained):
             return

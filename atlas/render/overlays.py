@@ -1,10 +1,10 @@
 """Overlays of a map: lines and marks over its cells.
 
-They are the grazing of impact-free motion, borders between regimes, exact curves with their ends and their points of
-codimension two, and over basins the saddles between them.
+They are the grazing of impact-free motion, borders between regimes, the exact curves of bifurcations and grazes that a
+store has, with their ends and their points of codimension two, and over basins the saddles between them.
 
-A curve is drawn while its orbit is otherwise stable: there it bounds a region with attractors. The rest of a curve
-crosses regions without an effect and is left out.
+The orbit of a curve undergoes the curve's bifurcation or graze. A curve is drawn only where this orbit is otherwise
+stable, since there it bounds a region with attractors. The rest crosses regions without an effect and is left out.
 """
 
 from collections.abc import Callable, Iterable

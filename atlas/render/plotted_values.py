@@ -1,6 +1,6 @@
-"""The values in the upper plot of a sweep: the gap coordinate at t = k T for each cell, or an observable.
+"""The values in the upper plot of a sweep, an atlas over one axis: for each cell section values or an observable.
 
-They are called section values at the times t = k T, the start of each forcing period.
+Section values are the values of the gap coordinate at t = k T, the start of each forcing period.
 """
 
 from dataclasses import dataclass

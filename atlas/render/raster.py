@@ -34,9 +34,9 @@ MARKED = (UNDETERMINED, INVALID, FAILED)
 def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> set[int]:
     """Draw the cells of a map from edge to edge, as pixels also in vector files.
 
-    Return the codes of the regimes whose tiny cells were enlarged by marks. Equal cells are drawn as an image, others
-    as quadrilaterals. Colours are never blended between cells. A cell in the colour of its regime has the regime's
-    hatch. Cells without a result that would be invisible get a mark of visible size.
+    Return the codes of the regimes whose tiny cells were enlarged by marks. Cells of equal size are drawn as an image,
+    others as quadrilaterals. Colours are never blended between cells. A cell in the colour of its regime has the
+    regime's hatch. Cells without a result that would be invisible get a mark of visible size.
     """
     x, y = plane.x, plane.y
     # Pending cells are transparent and show this hatch.

@@ -67,7 +67,7 @@ class PictureRequest:
         pixels: tuple[int, int] | None = None,
         **options: Unpack[AtlasFigureOptions],
     ) -> "PictureRequest":
-        """Return the request for these arguments of ``figure``. Raise InputError for an invalid argument."""
+        """Return the validated request for arguments of ``figure``. Raise InputError for an invalid argument."""
         from atlas.render.layout import page  # imports matplotlib
 
         look: dict[str, Any] = dict(options)

@@ -1,4 +1,4 @@
-"""Pictures over one axis: bifurcation diagrams above exponents or shares, of one or two sweeps, and branches of orbits.
+"""Pictures of sweeps, atlases over one axis: bifurcation diagrams above exponents or shares; and branches of orbits.
 
 A bifurcation diagram shows section values: the gap coordinate at t = k T, the start of each forcing period.
 """
@@ -59,17 +59,19 @@ _FEW, _MANY = 2.2, 1.5
 
 
 def figure(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return a sweep as a figure: section values above the largest exponent, each if the atlas has the variable.
+    """Return the bifurcation diagram of a sweep above its largest exponent, as a figure.
 
+    The diagram shows the gap coordinate at t = k T, or an observable. Each plot is drawn if the atlas has its variable.
     Raise InputError if the atlas has neither.
     """
     return _of_one(ds, request, dict.fromkeys(names_with_values([LARGEST.name], ds), _draw_largest))
 
 
 def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return a sweep as a figure: section values above all Lyapunov exponents.
+    """Return the bifurcation diagram of a sweep above all its Lyapunov exponents, as a figure.
 
-    Raise InputError if the atlas lacks the exponents.
+    The diagram shows the gap coordinate at t = k T, or an observable. Raise InputError if the atlas lacks the
+    exponents.
     """
     KIND_TABLE["spectrum"].require(ds, [SPECTRUM.name])
     numbers = range(ds[SPECTRUM.name].shape[-1])
@@ -80,9 +82,10 @@ def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
 def _of_one(
     ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
 ) -> Figure:
-    """Return the figure of one sweep: section values or an observable, above a panel of its exponents.
+    """Return the figure of one sweep: a bifurcation diagram above a plot of its exponents.
 
-    ``exponents`` holds the function that draws this panel, by variable; ``entries`` are added to the legend.
+    ``exponents`` holds the function that draws this plot, by variable; ``entries`` are added to the legend. Raise
+    InputError if there is nothing to draw.
     """
     plotted_values = PlottedValues.resolve(request.observe, ds)
     panels = ({} if plotted_values is None else {plotted_values.name: _panel_of_points(plotted_values)}) | dict(
@@ -131,10 +134,10 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
 
 
 def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return a figure of all attractors along an axis: their section values above their shares of the initial states.
+    """Return a figure of all attractors along one axis: a bifurcation diagram above their shares of the initial states.
 
-    Without stored sections the exponents of the attractors are drawn. Attractors have the colours of their regimes, or
-    if labelled, of their branches. Raise InputError if the atlas does not have all attractors.
+    Without stored values at t = k T the exponents of the attractors are drawn. Attractors have the colours of their
+    regimes, or if labelled, of their branches. Raise InputError if the atlas does not have all attractors.
     """
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' needs all attractors, and this atlas has one per cell; see [attractors]")
@@ -233,7 +236,7 @@ def stack(
 
 
 def _panel_of_points(plotted_values: PlottedValues) -> Panel:
-    """Return the function that draws the panel of section values, or of values of an observable."""
+    """Return the function that draws a bifurcation diagram: the gap coordinate at t = k T, or an observable."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         regime, values = ds[REGIME.name].values, plotted_values.values(ds, x)
@@ -273,7 +276,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout)
 
 
 def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: PlottedValues | None) -> Panel:
-    """Return the function that draws a variable of every attractor; attractors with larger shares lie on top.
+    """Return the function that draws a variable of every attractor along a sweep; larger shares lie on top.
 
     The variable ``name`` is that of the plotted values, or the largest exponent. ``known`` is the table of branches.
     """

@@ -140,7 +140,7 @@ def reached_labels(table: AttractorTable, states: Array) -> Labels:
 
 
 class _Shocks(NamedTuple):
-    """K fatal shocks, each a deviation from a state of the attractor at t = k T.
+    """K shocks to another attractor, each a deviation from a state of the attractor at t = k T.
 
     phase (K,)         indices of these states
     direction (K, 2n)  directions of the deviations, of length 1 after multiplication by the weights
@@ -184,14 +184,15 @@ class _ShockSearch:
         return shocks.at_rows(np.argsort(size, kind="stable"))
 
     def nearest(self, states: Array) -> _Shocks | None:
-        """Return the smallest shocks that lead to fatal ones among the states (K, 2n); None if no state is fatal."""
+        """Return the smallest shocks to those of the states (K, 2n) that reach another attractor; None if none does."""
         states = states[self.fatal(states)] if len(states) else states
         return self.shocks_to(states).at_rows(np.arange(min(CANDIDATES, len(states)))) if len(states) else None
 
     def improved(self, shocks: _Shocks) -> _Shocks:
-        """Return the smallest fatal shock found on rays near the given fatal shocks.
+        """Return the smallest shock to another attractor that is found on rays near the given shocks.
 
-        Random directions near each shock are tried at smaller sizes, and ever nearer ones if none is fatal.
+        Random directions near each shock are tried at smaller sizes, and ever nearer ones if none leads to another
+        attractor.
         """
         angle = np.full(len(shocks.size), WIDEST)
         while len(rows := np.flatnonzero(angle > NARROWEST)):
@@ -221,9 +222,9 @@ class _ShockSearch:
         return np.concatenate([direction[:, None], np.cos(angles) * direction[:, None] + np.sin(angles) * across], 1)
 
     def bisected(self, one: _Shocks) -> _Shocks:
-        """Return a fatal shock shortened as far as possible along its direction.
+        """Return a shock to another attractor, shortened as far as possible along its direction.
 
-        Set ``safe`` to the size just below it that is not fatal.
+        Set ``safe`` to the size just below it that does not lead to another attractor.
         """
         low, high = 0.0, float(one.size[0])
         while high - low > EXACT * high:
@@ -235,10 +236,10 @@ class _ShockSearch:
         return one._replace(size=np.array([high]))
 
     def within(self, size: float, ball: Array) -> tuple[_Shocks | None, int]:
-        """Return the smallest fatal shocks among states that fill a ball of size ``size`` evenly, and 0.
+        """Return the smallest shocks to another attractor among states that fill a ball of size ``size``, and 0.
 
-        If none is fatal, return None and the number of the states that return to the attractor. ``ball`` are the points
-        of the unit ball.
+        If no state in the ball reaches another attractor, return None and the number of the states that return.
+        ``ball`` are points that fill the unit ball evenly.
         """
         phase = np.arange(len(ball)) % len(self.states)
         states = self.at(phase, ball, np.full(len(ball), size))

@@ -97,7 +97,7 @@ def measure_and_keep(job: MeasureJob) -> PartReport:
 def read_measured(handle: AtlasStore, name: str) -> Arrays:
     """Return the measures of a part, the intermediate result of a job, by name.
 
-    Raise RefusedError if it does not exist.
+    Raise WorkerRefusedError if the part does not exist.
     """
     with np.load(io.BytesIO(stored_part(handle, STABILITY, name))) as arrays:
         return dict(arrays)

@@ -31,7 +31,7 @@ class LabelSummary(Summary):
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """The counts, as sentences."""
+        """The counts of labels and attractors to show, as sentences."""
         count = self.count
         rest = count.attractors - count.followed
         lines = [f"{self.store}: {plural(count.branches, 'label')}, {count.alone} of them of one cell alone"]

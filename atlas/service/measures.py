@@ -75,7 +75,7 @@ class MeasureSummary(PartCost, Summary):
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """The statistics and the cost, as sentences."""
+        """The statistics of the measures, and the cost of computing them, to show as sentences."""
         lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]
         for name, numbers in self.measures.items():
             ends = f", {numbers['least']:.4g} to {numbers['largest']:.4g}, median {numbers['median']:.4g}"

@@ -54,7 +54,7 @@ class PackSummary(Summary):
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """The result, as sentences."""
+        """The facts about the zip file to show, as sentences."""
         packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"
         if self.is_complete:
             return [(packed,)]

@@ -127,7 +127,10 @@ class Plan(Summary):
 
     @property
     def objects_per_tile(self) -> int:
-        """Number of objects of a finished tile, one for each variable; a tile with reasons has one more."""
+        """Number of objects of a finished tile: one for each variable.
+
+        A tile with uncertain results has one more, with their reasons.
+        """
         return sum(not variable.sparse for variable in self.spec.variables)
 
     @property

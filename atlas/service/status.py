@@ -177,11 +177,11 @@ class StatusReader:
         self.observer = LeaseObserver(self.notes, timing)
 
     def read(self, settled: bool = False) -> StoreStatus:
-        """Return the present status.
+        """Return the present status of the store.
 
-        With ``settled`` wait until the lease of a run on another host is known to be renewed, or known not to be. If a
-        run held the lease before the count and has ended since, the tiles are counted again. Its last tiles may have
-        come after the count.
+        With ``settled`` wait until it is known whether a run on another host still renews its lease, the right to write
+        the store. If a run held the lease before the tiles were counted and has ended since, they are counted again.
+        Its last tiles may have come after the count.
         """
         look = self.observer.observe_until_settled if settled else self.observer.observe
         seen = look()

@@ -13,11 +13,12 @@ from workers.model.system import System
 
 
 def equation_of(system: System) -> str:
-    """Return the equation as its definition writes it, or generated from the entries of the definition.
+    """Return the equation of motion of a system as text: as its author wrote it, or generated from its definition.
 
-    There is a line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, without zero
-    terms. Then follow omega if it is not a parameter, and the forcing period if it is not 2 pi / omega. The last lines
-    are the stops, the impact law, friction, phases, the drifting coordinate and the names in expressions.
+    A generated text has a line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``,
+    without zero terms. Then follow omega if it is not a parameter, and the forcing period if it is not 2 pi / omega.
+    The last lines are the stops, the impact law, friction, phases, the drifting coordinate and the names in
+    expressions.
     """
     if system.equation.strip():
         return system.equation

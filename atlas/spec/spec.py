@@ -348,7 +348,10 @@ def given_settings(settings: Settings | None) -> Settings:
 
 
 def check_parameters(system: System, names: Iterable[object], kind: str = "parameter") -> None:
-    """Raise InputError at the first name that is no parameter of a system."""
+    """Raise InputError at the first name that is no parameter of a system.
+
+    ``kind`` says in the message what the names are.
+    """
     known = {parameter.name for parameter in system.parameters}
     for name in names:
         if name not in known:

@@ -117,8 +117,8 @@ def encode_node(node: Node, members: Mapping[str, Node] | None = None) -> bytes:
 
 
 def encode_whole(values: NDArray[Any]) -> bytes:
-    """Return an array as the bytes of a single chunk, not compressed, so that every version of every library gives the
-    same.
+    """Encode an array as the bytes of a single chunk, which is not compressed: every version of every library gives
+    these bytes.
     """
     if values.dtype.kind in "TO":
         texts = [str(text).encode() for text in values.ravel()]

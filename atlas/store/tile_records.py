@@ -47,7 +47,7 @@ SAVE_SECONDS = 30.0
 last.
 """
 SAVE_SHARE = 100
-"""Minimum ratio of the pause after a write of the table to the duration of the write."""
+"""Minimum ratio of the pause after a write of the table of records to the duration of the write."""
 Block = tuple[slice, ...]
 
 

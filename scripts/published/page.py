@@ -23,11 +23,10 @@ BASIS = (
     " checks it by integrations and maps that share no code with the solver. Differences of at most {exact:g} from a"
     " closed form count as agreement. In a checkout `python -m scripts.published` computes all entries again, or the"
     " named ones.",
-    "Left out are works whose numbers or parameters could not be confirmed (C. Weidemann et al., Nonlinear Dyn. 2025,"
-    " doi 10.1007/s11071-025-10928-4; J. F. Mason and P. T. Piiroinen, SIAM J. Appl. Dyn. Syst. 8 (2009) 1694; C. Budd"
-    " and F. Dux, Phil. Trans. R. Soc. A 347 (1994) 365), and pictures without digits (S. L. T. de Souza et al., Math."
-    " Probl. Eng. (2009) 290356). bSTAB's example (Nonlinear Dyn. 2021, doi 10.1007/s11071-021-06786-5) is compared"
-    " [elsewhere](systems.md#machines-without-a-force).",
+    "Left out are works whose numbers or parameters could not be confirmed (C. Weidemann et al. 2025, doi"
+    " 10.1007/s11071-025-10928-4; J. F. Mason and P. T. Piiroinen, SIAM J. Appl. Dyn. Syst. 8 (2009) 1694; C. Budd and"
+    " F. Dux, Phil. Trans. R. Soc. A 347 (1994) 365), and pictures without digits (S. L. T. de Souza et al., Math."
+    " Probl. Eng. (2009) 290356). The belt of bSTAB is compared [elsewhere](systems.md#machines-without-a-force).",
 )
 
 

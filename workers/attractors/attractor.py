@@ -18,21 +18,21 @@ ON_ATTRACTOR = (*SHOWN, *STATISTICAL)
 
 @dataclass(eq=False)
 class Attractor:
-    """An attractor of a cell.
+    """An attractor of a cell, which is a machine at one point of a map.
 
     regime            code of the regime
     result            results by the names of the variables
-    mode              number of the mode of the state in ``result``
+    mode              number of the mode, a set of linear equations, of the state in ``result``
     starts            numbers of the initial states that reach it
-    h, period         of an orbit: block coordinates of the state in ``result``, and the period
+    h, period         of an orbit: (n, 2) the state in ``result`` in decoupled coordinates, and the period
     jacobian          Jacobian of one turn of the orbit
     contraction       1 - |mu|, mu the largest multiplier
     norm              norm in which the Jacobian shrinks deviations
-    shift             section of the proof: t = (k + shift) T
-    orbit             (p, n, 2) block states at t = (k + shift) T; of a cycle (ALONG, n, 2) states all along it
+    shift             time at which the orbit was proved: at sections t = (k + shift) T, T the forcing period
+    orbit             (p, n, 2) states at t = (k + shift) T like h; of a cycle (ALONG, n, 2) states all along it
     cycle             limit cycle of a machine without a force, else None
     mirror            its mirror image, None if unknown or the attractor itself
-    reference         (k, 4n) batches of chaos and tori, see ``matching``
+    reference         (k, 4n) statistics of chaos and tori, means over batches of states, see ``matching``
     last              last physical states of the motions on it, each with the number of its mode
     pooled, distance  number of initial states assigned by statistics, and the largest distance among them
     seen              forcing periods of all motions on it together

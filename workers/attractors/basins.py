@@ -29,7 +29,7 @@ from workers.tile import initial_state, solve_parts
 
 
 class AttractorTable(CoexistenceSearch):
-    """The attractors that the reference set of one machine reaches, the largest share first.
+    """The attractors of one machine that a fixed set of initial states reaches, the largest share first.
 
     A label is an index into ``attractors``.
     """
@@ -48,9 +48,10 @@ class AttractorTable(CoexistenceSearch):
         return np.array([self.label(self.cell.image(attractor)) for attractor in self.attractors], dtype=np.int64)
 
     def search_from(self, states: Array, references: bool) -> MotionSearch:
-        """Return the search from physical states (N, 2n), compared with the attractors of the table.
+        """Simulate motions from physical states (N, 2n), and return the search with the attractors that they reach.
 
-        With ``references`` the statistics of new chaos and tori are collected.
+        The motions are compared with the attractors of the table. With ``references`` the statistics of new chaos and
+        tori are collected.
         """
         search = self.search(np.zeros(len(states), dtype=np.int64), states)
         search.solve(references)
@@ -93,7 +94,10 @@ def solve_basins(
 
 
 def fixed_values(system: System, params: Mapping[str, Any]) -> dict[str, float]:
-    """Return the parameters of the machine; the components of its initial state have their defaults, on any plane."""
+    """Return the parameters of the machine by name, with defaults for the components of its initial state.
+
+    All initial states of a plane of basins thus give the same result.
+    """
     given = {name: float(np.ravel(value)[0]) for name, value in params.items() if name not in system.states}
     return {name: float(value) for name, value in system.complete(given).items()}
 
@@ -110,7 +114,12 @@ def reference_table(
 
 
 def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Results) -> None:
-    """Write the results of the initial states among these parameters (N,)."""
+    """Write the results of N initial states into ``arrays``: the attractor that each reaches, and how soon.
+
+    table   the attractors of the machine
+    params  parameters (N,) by name, with the components of the initial states
+    arrays  result arrays (N, ...) by name
+    """
     search = table.search_from(initial_state(table.record, params), references=False)
     label, regime = search.label.copy(), search.regime
     for r in np.flatnonzero((label < 0) & np.isin(regime, SHOWN)).tolist():  # solved in full
@@ -142,10 +151,10 @@ def labels_beyond(table: AttractorTable, states: Array) -> NDArray[np.int64]:
 
 
 def section_points(table: AttractorTable, count: int) -> Array:
-    """Return physical section states (A, count, 2n) of every attractor.
+    """Return states (A, count, 2n) of all A attractors at sections t = k T, T the forcing period.
 
-    An orbit has each of its states once, the rest NaN. States of a cycle without a force lie evenly in time along the
-    cycle.
+    An orbit has each of its states once, the rest NaN. States of a limit cycle without a force lie evenly in time along
+    the cycle.
     """
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([attractor.result["state"] for attractor in table.attractors]).reshape(N, size)

@@ -14,7 +14,7 @@ from workers.orbit.map import iterate, jacobian_of
 from workers.results import LOCKING, NO_IMPACT
 
 FIRST = np.zeros(1, dtype=np.int64)
-"""Index of the only row of a record of one machine."""
+"""Index of a machine that is alone in a batch."""
 
 LONGEST_KNOWN = 32
 """Longest orbit, in periods, with which motions are compared. Motions on longer orbits are solved in full before they
@@ -25,7 +25,7 @@ are compared.
 class CellAttractors:
     """The known attractors of one cell.
 
-    oscillator  record of many with one machine
+    oscillator  the machine, as the only row of a batch
     symmetric   True if the machine is its own mirror image half a period later
     attractors  known attractors, in the order in which they were found
     undecided   numbers of the initial states without a known attractor
@@ -80,7 +80,7 @@ class CellAttractors:
     def image(self, attractor: Attractor) -> Attractor | None:
         """Return the mirror image of one of the attractors, which may be the attractor itself; None if it is unknown.
 
-        All motion without impact counts as one attractor, except in machines with modes.
+        All motion without impact counts as one attractor, except in machines with more elements than one rigid contact.
         """
         alone = attractor.regime == NO_IMPACT and self.symmetric and not self.oscillator.has_modes
         return attractor if alone or attractor.result["symmetric"] else attractor.mirror
@@ -98,7 +98,7 @@ class CellAttractors:
 
 
 def attractor_of(oscillator: Oscillator, search: MotionSearch, r: int) -> Attractor | None:
-    """Return the attractor of motion r, which was solved in full, without regard to other motions.
+    """Return the attractor of motion r, which was solved in full, without a comparison with other motions.
 
     It is an orbit or motion without impact with a proof, or chaos or a torus with its statistics. For a motion that
     locks onto a stop it is the class alone. Return None if the attractor is unknown.

@@ -67,7 +67,7 @@ def solve_attractors(
 
 
 class CoexistenceSearch:
-    """N cells with parameters (N,), and their known attractors.
+    """The search for all attractors of N cells with parameters (N,), and the attractors found so far.
 
     states        (N, starts, 2n) physical initial states of the cells
     cells         known attractors of each cell
@@ -101,11 +101,11 @@ class CoexistenceSearch:
     def search(
         self, owner: Rows, states: Array, mode: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
     ) -> MotionSearch:
-        """Return a search of N motions, compared with the known attractors of their cells.
+        """Return a search, to be run, in which N motions are compared with the known attractors of their cells.
 
         owner    (N,) cells of the motions
         states   (N, 2n) physical states
-        mode     (N,) numbers of the modes of motions that continue earlier ones
+        mode     (N,) numbers of the modes, sets of linear equations, of motions that continue earlier ones
         regimes  regimes of the attractors that are compared
         """
         known = KnownAttractors(
@@ -179,9 +179,16 @@ class CoexistenceSearch:
     def _part(
         self, cell: CellAttractors, suspect: Attractor, number: Rows, search: MotionSearch, stay: Rows, last: bool
     ) -> None:
-        """Mark an attractor as a transient if some of its motions leave it.
+        """Mark the attractor ``suspect`` as a transient if some of its motions have left it.
 
-        The others become undecided if this is the ``last`` watch, or if none of the motions stays.
+        cell    attractors of the cell
+        number  numbers of the initial states of all motions in ``search``
+        search  the motions that were watched
+        stay    rows of the motions that are still on the attractor
+        last    True for the last watch
+
+        Motions that stay become undecided if this is the last watch and the attractor is a transient. The attractor is
+        removed then, and also if no motion stays.
         """
         suspect.transient |= len(stay) < len(suspect.starts)
         suspect.starts, suspect.last = number[stay].tolist(), [search.last(r) for r in stay]
@@ -190,7 +197,7 @@ class CoexistenceSearch:
             cell.undecided += suspect.starts
 
     def _pair(self) -> None:
-        """Pair chaos and tori with their mirror images, by the batches of the mirror images of their motions."""
+        """Pair each chaos or torus with its mirror image, by the statistics of mirrored motions."""
         alone = [
             (c, attractor)
             for c, cell in enumerate(self.cells)
@@ -250,7 +257,10 @@ def _of_share(hits: int, tried: int) -> dict[str, Any]:
 
 
 def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
-    """Return physical states (N, 2n) and numbers of modes (N,) as arrays."""
+    """Return physical states (N, 2n), and numbers (N,) of the linear equations that hold there, as arrays.
+
+    ``states`` has pairs of a state and such a number.
+    """
     return np.stack([state for state, _ in states]), np.array([mode for _, mode in states], dtype=np.int64)
 
 

@@ -1,14 +1,14 @@
 """Matching of motions to known attractors: exactly for orbits, by statistics otherwise.
 
-An orbit is given by its section state h*, its period p, and the Jacobian J of p periods there. A motion is matched to
-the orbit if two conditions hold. One of its section states lies near h*, and the part of its last turns that J does not
-explain is less than half of the contraction. An orbit itself is accepted by the same test, see ``orbit.attraction``, so
-no new proof is needed. Two proved orbits are compared on the section of one of the proofs, since both may impact at t =
-k T.
+An orbit is given by its state h* at a section t = k T, its period p, and the Jacobian J of p periods there. A motion is
+matched to the orbit if two conditions hold. One of its section states lies near h*, and the part of its last turns that
+J does not explain is less than half of the contraction. An orbit itself is accepted by the same test, see
+``orbit.attraction``, so no new proof is needed. Two proved orbits are compared on the section of one of the proofs,
+since both may impact at t = k T.
 
-Chaos and tori are given by batches of BATCH section states: the means of the 2n block coordinates and of their squares.
-Two motions differ if one of these 4n means differs by more than DIFFERENT standard errors, of the pooled variance of
-the batches.
+Chaos and tori are given by batches of BATCH section states: the means of the 2n coordinates (h, h') of the decoupled
+equations and of their squares. Two motions differ if one of these 4n means differs by more than DIFFERENT standard
+errors, of the pooled variance of the batches.
 """
 
 from collections.abc import Sequence
@@ -36,9 +36,9 @@ NEAR_ORBIT = 1e-2
 ALONG = 256
 """Number of states along a cycle without a force, for pictures and for the distance of a motion from the cycle."""
 SAME_ATTRACTOR = 1e-6
-"""Largest distance of section states of equal orbits, relative to the motion's scale."""
+"""Largest distance between states at sections t = k T of equal orbits, relative to the motion's scale."""
 BATCH = 64
-"""Number of section states of a batch."""
+"""Number of states at sections t = k T whose mean is taken as one batch."""
 REFERENCE, FIRST_LOOK, SECOND_LOOK = 64, 16, 48
 """Number of batches of an attractor, of a motion compared with it, and of the same motion afterwards if it differs."""
 DIFFERENT = 5.0
@@ -48,10 +48,10 @@ LEAST_SPREAD = 1e-9
 
 
 class KnownOrbits(NamedTuple):
-    """M known orbits, cell by cell.
+    """M known stable orbits, cell by cell, with which motions are compared.
 
     first, last  (N,) the orbits of cell c are first[c] to last[c] - 1
-    h            (M, n, 2) section states
+    h            (M, n, 2) states at a section t = k T, in decoupled coordinates
     period       (M,) periods
     jacobian     (M, 2n, 2n) Jacobians of a turn
     contraction  (M,) 1 - |mu| of a turn
@@ -71,8 +71,8 @@ class KnownOrbits(NamedTuple):
 def orbits_reached(blocks, sections, counts, rows, owner, known):
     """Return the indices of the known orbits into which these motions fall; -1 if there is none.
 
-    blocks    blocks of the oscillators
-    sections  (N, K, n, 2) section states
+    blocks    decoupled equations of the oscillators
+    sections  (N, K, n, 2) last states of the motions at sections t = k T
     counts    (N,) number of the last sections that are known
     rows      motions that are compared
     owner     (N,) cells of the motions
@@ -113,11 +113,12 @@ def orbits_reached(blocks, sections, counts, rows, owner, known):
 
 
 def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -> int:
-    """Return the number of periods after which a motion stays within NEAR_ORBIT of the section state a turn later.
+    """Return the number of periods after which a motion stays within NEAR_ORBIT of its state one turn later.
 
-    sections  (K, n, 2) last section states
+    blocks    decoupled equations of the oscillator
+    sections  (K, n, 2) last states at sections t = k T
     flown     periods simulated
-    period    period of the orbit
+    period    period of the orbit that the motion reaches
     """
     away = energy_norms(blocks[:, COLUMN.metric], sections[period:] - sections[:-period])
     far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_of(blocks, sections[-1])))
@@ -127,7 +128,8 @@ def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -
 def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> int:
     """Return the number of periods after which a motion stays within NEAR_ORBIT of a cycle without a force.
 
-    sections  (K, n, 2) last section states
+    blocks    decoupled equations of the oscillator
+    sections  (K, n, 2) last states of the motion, at t = k T with T the natural period
     flown     periods simulated
     along     (K, n, 2) states on the cycle in order, connected by straight lines
     """
@@ -142,7 +144,11 @@ def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> i
 
 
 def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, mode: int) -> Array:
-    """Return block states (ALONG, n, 2) of a cycle without a force, evenly in time, from a physical state on it."""
+    """Return states (ALONG, n, 2) along a cycle without a force, evenly in time, from a physical state on it.
+
+    The states are those of decoupled equations. ``mode`` is the number of the mode, a set of linear equations, at the
+    start.
+    """
     machine = at_rows(oscillator, np.zeros(1, dtype=np.int64))
     set_period(machine, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
     motions, _ = begin(machine, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([mode]))
@@ -153,7 +159,7 @@ def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, mode: i
 
 
 def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[Oscillator, Motion]:
-    """Return the oscillator and the motion of an orbit on the section t = (k + shift) T."""
+    """Return the oscillator with t = shift T as time 0, and the motion of an orbit there; T is the forcing period."""
     osc = take_one(oscillator, 0)
     if shift == 0.0:
         return osc, motion_at(orbit.h, orbit.mode)
@@ -161,7 +167,10 @@ def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[O
 
 
 def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
-    """Return the block states (period, n, 2) of an orbit on the section where it was proved."""
+    """Return the states (period, n, 2) of an orbit at the sections t = (k + shift) T at which it was proved.
+
+    They are states of decoupled equations; T is the forcing period.
+    """
     osc, motion = seen_from(oscillator, orbit, orbit.shift)
     batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]), orbit.period)
     batch.periods[0] = orbit.period
@@ -170,12 +179,14 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
 
 
 def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
-    """Return the mirror image of a motion at block state h (n, 2), and the number of its mode.
+    """Return the mirror image (n, 2) of a motion from the state h, half a period later, and the number of its mode.
 
-    oscillators  record of many
+    States are those of decoupled equations; a mode is a set of linear equations between two events.
+
+    oscillators  all machines
     r            row of the machine
-    oscillator   machine r as seen from the section of h
-    h, mode      block state, and the number of its mode
+    oscillator   machine r, its phase counted from the time of h
+    h, mode      (n, 2) state, and the number of its mode
 
     The image is NaN if it cannot be simulated. A machine with modes is mirrored in its centre, with all contacts and
     slips on the other side.
@@ -197,8 +208,8 @@ def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, 
 def is_same_attractor(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
     """Return True if an orbit, or with ``half`` its mirror image, equals a known orbit.
 
-    Orbits are compared on the section of the known proof. Cycles without a force are equal if they are the same set of
-    states, in any phase.
+    Orbits are compared at the instants t = (k + shift) T at which the known orbit was proved. Cycles without a force
+    are equal if they are the same set of states, in any phase.
     """
     if (old.regime, old.period) != (new.regime, new.period):
         return False
@@ -217,7 +228,10 @@ def is_same_attractor(oscillator: Oscillator, old: Attractor, new: Attractor, ha
 
 
 def mirror_states(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array, Rows]:
-    """Return physical states (N, 2n) on the mirror images of N motions, with the numbers of their modes (N,)."""
+    """Return physical states (N, 2n) on the mirror images of N motions, and the numbers (N,) of their modes.
+
+    A mode is a set of linear equations between two events. ``states`` (N, 2n) and ``mode`` (N,) belong to the motions.
+    """
     motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, mode)
     for r in range(len(states)):
         motions.h[r], motions.mode[r] = image_of(oscillators, r, take_one(oscillators, r), motions.h[r], int(mode[r]))
@@ -225,19 +239,22 @@ def mirror_states(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[A
 
 
 def batch_moments(sections: Array, rows: Rows, count: int) -> Array:
-    """Return the mean block coordinates and mean squares (len(rows), 4n) over the last ``count`` sections of each
-    motion.
+    """Return means of coordinates and of their squares (rows, 4n) over the last ``count`` sections t = k T.
+
+    sections  (N, K, n, 2) states of N motions in decoupled coordinates
+    rows      motions
+    count     number of sections
     """
     states = sections[rows, -count:].reshape(len(rows), count, 2 * sections.shape[2])
     return np.concatenate([states, states * states], axis=2).mean(axis=1)
 
 
 def distance(one: Array, other: Array) -> float:
-    """Return the largest distance between means of two motions, in standard errors.
+    """Return the largest distance between the means of two motions, in standard errors.
 
-    one, other  (k, 4n) and (l, 4n) batches of the motions
+    one, other  (k, 4n) and (l, 4n) means over the batches of each motion
 
-    a - b| / sqrt(s^2 (1/k + 1/l)), s^2 the pooled variance of the batches.
+    The distance of means a and b is |a - b| / sqrt(s^2 (1/k + 1/l)), s^2 the pooled variance of the batches.
     """
     k, m = len(one), len(other)
     squares = ((one - one.mean(axis=0)) ** 2).sum(axis=0) + ((other - other.mean(axis=0)) ** 2).sum(axis=0)
@@ -250,7 +267,10 @@ def distance(one: Array, other: Array) -> float:
 
 
 def nearest(attractors: Sequence[Attractor], batches: Array) -> tuple[Attractor | None, float]:
-    """Return the chaos or torus nearest to batches (k, 4n), None if all differ; and the distance in standard errors."""
+    """Return the chaos or torus nearest to ``batches`` (k, 4n) by statistics, and its distance in standard errors.
+
+    The attractor is None if all of ``attractors`` differ from the batches.
+    """
     apart = [np.inf if known.reference is None else distance(known.reference, batches) for known in attractors]
     away = min(apart, default=np.inf)
     return attractors[apart.index(away)] if away <= DIFFERENT else None, away

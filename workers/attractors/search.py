@@ -31,10 +31,10 @@ from workers.settings import Settings
 from workers.tile import MAX_SECTION_BYTES, result_arrays
 
 WATCH_INTERVAL = 1024
-"""Maximum number of periods of an interval of watching."""
+"""Maximum number of periods for which a watched motion is simulated before it is looked at again."""
 
 MAX_MOTIONS, MIN_MOTIONS = 4096, 64
-"""Maximum and minimum number of motions searched together; the memory for section states decides between them."""
+"""Maximum and minimum number of motions searched together; the memory for their stored states decides between them."""
 
 
 def motions_at_once(settings: Settings, size: int) -> int:
@@ -47,10 +47,10 @@ class KnownAttractors:
     """The known attractors of many cells; a motion is compared with the attractors of its own cell.
 
     attractors  all attractors, cell by cell; a label is an index into this list
-    places      labels of the compared orbits, in the order of ``orbits``
+    places      labels of the stable orbits in ``orbits``, in their order
     references  chaos and tori by cell
     cycles      cycles of machines without a force by cell
-    orbits      orbits in the form for kernels
+    orbits      orbits in the form for compiled kernels
     """
 
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
@@ -81,12 +81,13 @@ class MotionSearch:
     label      (N,) labels of the known attractors reached, -1 if there is none
     arrival    (N,) periods until a motion is within a hundredth of its scale of a known orbit, -1 if it reached none
     distance   (N,) distances in standard errors from the attractors assigned by statistics
-    reference  batches of motions on new chaos or tori, by row
+    reference  statistics (k, 4n), means over batches of states, of motions on new chaos or tori, by row
     compared   (N,) periods on the attractor after its class was known
 
     The motions have parameters (N,) and begin at physical states (N, 2n). Motions that continue earlier ones also have
-    the numbers of their modes (N,). Motions with a reason have no oscillator. A motion ends when it falls into a known
-    orbit. After its transient it is compared with the known chaos and tori of its cell, if there are any.
+    the numbers (N,) of their modes, sets of linear equations. Motions with a reason have no oscillator. A motion ends
+    when it falls into a known orbit. After its transient it is compared with the known chaos and tori of its cell, if
+    there are any.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class MotionSearch:
         return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
 
     def last(self, r: int) -> tuple[Array, int]:
-        """Return the last physical state of motion r, and the number of its mode."""
+        """Return the last physical state of motion r, and the number of its mode, the linear equations that hold."""
         motions = self.cells.batch.motions
         return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.mode[r, 0])
 
@@ -149,7 +150,11 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = matching.REFERENCE) -> tuple[Rows, Array]:
-        """Return the motions of ``rows`` that reach no orbit, and their batches (rows, batches, 4n)."""
+        """Simulate motions over some batches of periods; return the motions that reach no orbit, and statistics.
+
+        The statistics (rows, batches, 4n) are means, over each batch, of the states at t = k T and of their squares,
+        see ``matching``.
+        """
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
             rows = self._advance(rows, matching.BATCH, look=not self.cells.unforced or k == batches - 1)
@@ -192,15 +197,15 @@ class MotionSearch:
         return False
 
     def _leaves(self, rows: Rows) -> Mask:
-        """Return the mask of motions in whose cells chaos or a torus is known."""
+        """Return the mask of motions to be compared with known chaos or tori: there is one in their cell."""
         self.to_compare[rows] = [len(self.known.references[c]) > 0 for c in self.owner[rows]]
         return self.to_compare[rows]
 
     def _advance(self, rows: Rows, periods: Rows | int, look: bool = True) -> Rows:
         """Advance these motions by some periods, and return the motions that can continue.
 
-        With ``look`` motions on an orbit end. Without a force, ``look`` simulates them event by event, which takes
-        longer than their periods.
+        With ``look``, motions that have reached an orbit end. Without a force, ``look`` simulates them event by event,
+        which takes longer than their periods.
         """
         cells, least = self.cells, self.cells.settings.max_periods
         cells.set_interval(rows, periods)
@@ -230,7 +235,10 @@ class MotionSearch:
         self.course.run()
 
     def _measure(self) -> None:
-        """Write the machine's own results for motions of a known class; without a force all are in units of time."""
+        """Write the results that only this system has, such as measures, of motions of a known class.
+
+        If there is no force, all results are converted to units of time.
+        """
         explain(self.cells, self.record.definition, self.params)
         measure(self.cells, self.record.definition, self.params)
         observe(self.cells, self.record.definition, self.params)
@@ -238,7 +246,7 @@ class MotionSearch:
             convert_to_time(self.cells, self.variables)
 
     def _refer(self) -> None:
-        """Continue the motions on unknown chaos or tori to collect their batches.
+        """Continue the motions on unknown chaos or tori to collect their statistics.
 
         A motion that comes to an orbit meanwhile belongs to the orbit.
         """

@@ -1,1 +1,1 @@
-"""The computation of cells, many at once: their stages, averages and results."""
+"""The computation of cells, the machines at the points of a map, many at once: stages, averages and results."""

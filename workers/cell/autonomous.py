@@ -47,13 +47,15 @@ from workers.results import (
 )
 
 NEAR_CYCLE = 1e-3
-"""Maximum distance of a return, relative to the motion, that may be the return of a cycle."""
+"""Maximum distance of a state from an earlier one, relative to the motion, at which the motion may have closed a cycle.
+"""
 
 STABLE = 1e-12
 """Minimum -ln|mu| of a multiplier mu that is certainly inside the unit circle, if its error is smaller."""
 
 BRUSH = 1e-7
-"""Maximum share of rest in a cycle that is a graze, made longer by rounding: inside the cycle motions swing forever."""
+"""Maximum share of its period that a cycle rests on a stop and still counts as a graze that rounding has lengthened:
+inside such a cycle motions swing forever."""
 
 STEADY, MIN_TORUS_PERIODS = 15.0, 3000
 """Maximum logarithm of the shrinkage of a torus's second tangent vector, and minimum number of natural periods of
@@ -61,17 +63,22 @@ averaging."""
 
 
 def course_of(cells: CellBatch, is_known: Property = none_of, must_leave: Property = none_of) -> AdaptiveSchedule:
-    """Return the adaptive schedule of cells, which decides how long each is simulated, by the kind of their machines.
+    """Return the adaptive schedule for these cells, which decides how long each cell is simulated.
 
     is_known    predicate on cells at the end of an interval: the motion is recognised, and the cell ends
     must_leave  predicate on cells after their transients: they leave the schedule, to be judged elsewhere
+
+    The class of the schedule suits the machines: with a force, with a force of amplitude 0, or without a force.
     """
     kind = AutonomousSchedule if cells.unforced else VertexCourse if np.any(without_force(cells)) else AdaptiveSchedule
     return kind(cells, is_known, must_leave)
 
 
 def without_force(cells: CellBatch) -> Mask:
-    """Return the mask of machines with modes that have neither a force nor changes of phase."""
+    """Return the mask (N,) of cells whose machine has neither a force nor phases, parts of the period that differ.
+
+    The mask is False for machines that are solved by impacts on one rigid contact alone.
+    """
     if not cells.oscillators.has_modes:
         return np.zeros(len(cells.periods_used), dtype=np.bool_)
     machines = cells.oscillators.table.machines
@@ -80,10 +87,17 @@ def without_force(cells: CellBatch) -> Mask:
 
 
 class VertexCourse(AdaptiveSchedule):
-    """The adaptive schedule for machines of which some have a force of amplitude 0."""
+    """The adaptive schedule, which decides how long each cell is simulated, if some forces have the amplitude 0."""
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells that converge to an orbit, or to an equilibrium at a vertex; return the others."""
+        """Write the results of cells that converge to an orbit or to an equilibrium at a vertex; return the others.
+
+        rows    cells at the end of an interval
+        budget  (N,) periods that may be spent on the search for orbits
+        near    (N,) distance from a former state, relative to the motion, that counts as a return
+
+        A vertex is a stop, or a corner of a piecewise linear law.
+        """
         rests, still = dict[int, Rest](), without_force(self.cells)
         for r in rows[still[rows]].tolist():
             rest = rest_without_events(self.cells, r) or rest_of_turns(self.cells, r)
@@ -95,19 +109,24 @@ class VertexCourse(AdaptiveSchedule):
         return rows[self.cells.is_active[rows]]
 
     def end_standing(self, rows: Rows) -> None:
-        """Write the results of cells that stand in an equilibrium."""
+        """Write the results of these cells, whose motion stands still in an equilibrium."""
         rests = {r: rest for r in rows.tolist() if (rest := rest_beside(self.cells, r)) is not None}
         put_rests(self.cells, rests)
         put_centres(self.cells, end_impact_free(self.cells, rows[self.cells.is_active[rows]]))
 
 
 class AutonomousSchedule(VertexCourse):
-    """The adaptive schedule for machines without a force."""
+    """The adaptive schedule, which decides how long each cell is simulated, for machines without a force."""
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells that converge to a cycle or an equilibrium; return the others that are not known.
+        """Write the results of cells that converge to a limit cycle or an equilibrium; return the cells that continue.
 
-        An equilibrium is an orbit of the map over a natural period, without events.
+        rows    cells at the end of an interval
+        budget  (N,) periods that may be spent on the search for orbits
+        near    (N,) distance from a former state, relative to the motion, that counts as a return
+
+        Cells whose motion is recognised end without results. An equilibrium is an orbit of the map over a natural
+        period, without events.
         """
         known = self.is_known(rows)
         self.cells.is_active[rows[known]] = False
@@ -136,11 +155,15 @@ class AutonomousSchedule(VertexCourse):
         return rows[self.cells.is_active[rows]]
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
-        """Return the cells that continue: cycles of any length are sought after every interval."""
+        """Return the cells that continue; limit cycles of any length are sought after every interval already."""
         return rows[self.cells.is_active[rows]]
 
     def never_closes(self, rows: Rows) -> Mask:
-        """Return the mask of cells that neither returned to their last event in RETURNS passages, nor shrank."""
+        """Return the mask of cells that may be on a torus: they never returned, and tangent vectors did not shrink.
+
+        A motion has not returned if its state was never near that at its last event, in RETURNS passages of this event.
+        The logarithm of the second tangent vector's shrinkage is at most STEADY.
+        """
         if not len(rows):
             return none_of(rows)
         motions, periods = self.cells.batch.motions, self.cells.periods_flown[rows] - self.cells.began[rows]
@@ -161,9 +184,9 @@ class AutonomousSchedule(VertexCourse):
         return min(trail.distance_between(last, int(k)) for k in same) > TORUS_RETURN
 
     def _look(self, r: int) -> tuple[tuple[LimitCycle, Array] | None, bool]:
-        """Return the cycle to which one motion converges, and whether the motion has no events.
+        """Return the limit cycle to which motion r converges, None without one, and whether the motion has no events.
 
-        The cycle comes with the times of its rarest event; it is None if there is no such cycle.
+        The cycle comes with the times of its rarest event, the event with the fewest passages in a turn.
         """
         tried, trail, most = set[int](), None, 4 * self.settings.max_period
         machine = at_rows(self.cells.oscillators, np.array([r]))
@@ -181,10 +204,10 @@ class AutonomousSchedule(VertexCourse):
 
 
 def turns_of(trail: EventTrail) -> list[int]:
-    """Return the counts of events after which a motion has nearly returned to its last state, as whole numbers.
+    """Return numbers of events after which a motion nearly returned to its last state; each may be a turn of a cycle.
 
-    Each return is nearer than the turn before it. There are at most three, each return ten times nearer than any
-    shorter one.
+    At each of these returns the motion came nearer than one turn before. There are at most three, and each is ten times
+    nearer than any shorter one.
     """
     turns, last, record = list[int](), len(trail.keys) - 1, NEAR_CYCLE
     distances = np.max(np.abs(trail.states[-1:] - trail.states[last - last // 2 : last]), axis=1)[::-1]
@@ -198,15 +221,15 @@ def turns_of(trail: EventTrail) -> list[int]:
 
 
 def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle, Array] | None:
-    """Return the cycle near the last m events of a trail, and the times (p,) of its rarest event; None without a cycle.
+    """Return the cycle near the last m events of a motion, and times (p,) of its rarest event; None without a cycle.
 
-    machine  the machine, in a batch
-    trail    the trail
+    machine  the machine, as the only row of a batch
+    trail    the events of the motion
     m        number of events of a turn
 
     The cycle is stable, or the motion is on the cycle and a multiplier of the cycle is 1. The rarest event is the event
-    with the fewest passages, of several the first by signal, side and mode. A turn begins there, but not among the hops
-    that end a chatter: these would count as rest.
+    with the fewest passages in a turn; of several the one with the smallest key is taken. A turn begins there, but not
+    among the hops that end a chatter: these would count as rest.
     """
     keys = trail.keys[-m:]
     counts = np.bincount(keys)
@@ -246,9 +269,9 @@ def is_neutral(cycle: LimitCycle) -> bool:
 
 
 def once_round(machine: OrbitMachines, cycle: LimitCycle) -> LimitCycle | None:
-    """Return one turn of a cycle that may consist of several: a motion may seem to return after two turns first.
+    """Return one turn of a cycle whose given turn may be several: a motion may seem to return after two turns first.
 
-    Return None if Newton's method does not converge to it.
+    Return None if Newton's method does not converge to that turn.
     """
     motion, times = cycle.motion, cycle.motion.times[0]
     itinerary, states, span = motion.itinerary, motion.turn.states[0, 1:], float(motion.span[0])
@@ -274,7 +297,7 @@ def once_round(machine: OrbitMachines, cycle: LimitCycle) -> LimitCycle | None:
 
 
 def _repeats(cells: CellBatch, r: int) -> bool:
-    """Return True if the sections of one motion are one state over its whole interval."""
+    """Return True if a motion has the same state at all sections t = k T that are known of its last interval."""
     sections = cells.known_sections(r)
     return len(sections) > 1 and float(np.ptp(sections, axis=0).max()) <= CLOSING_DISTANCE * float(
         np.abs(sections).max()
@@ -282,9 +305,9 @@ def _repeats(cells: CellBatch, r: int) -> bool:
 
 
 def put_centres(cells: CellBatch, rows: Rows) -> None:
-    """Write the results of cells whose sections are one state without attracting.
+    """Write the results of cells whose states at all sections t = k T are equal, although they attract nothing.
 
-    They stand in an equilibrium, or swing about a centre without damping.
+    Such motions stand in an equilibrium, or swing about a centre without damping.
     """
     if not len(rows):
         return
@@ -294,7 +317,10 @@ def put_centres(cells: CellBatch, rows: Rows) -> None:
 
 
 def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]]) -> None:
-    """Write the results of cells that converge to cycles; ``cycles_of`` has the cycles by row, with times of events."""
+    """Write the results of cells that converge to limit cycles.
+
+    ``cycles_of`` has the cycle of each cell by row, with the times of the cycle's rarest event.
+    """
     free = np.array([r for r, (cycle, _) in cycles_of.items() if not is_stable(cycle)], dtype=np.int64)
     put_averaged(cells, free)
     write_results(cells, free, regime=UNDETERMINED, error=np.nan, reason=FREE_PHASE)
@@ -341,13 +367,20 @@ def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]])
 
 
 def _after_first(cycle: LimitCycle) -> int:
-    """Return the index of the leg that begins after the first event, and after all events at the same time."""
+    """Return the index of the leg that begins after the first event, and after all events at the same time.
+
+    A leg is the motion between two events.
+    """
     lengths = (cycle.motion.ends - cycle.motion.begins)[0, 1:]
     return 1 + int(np.argmax(lengths > AT_ONE_TIME * cycle.period))
 
 
 def _as_passed(machines: Oscillator, cycle: LimitCycle, times: Array) -> CellCycle:
-    """Return a cycle of a cell with the times (p,) of its rarest event; ``machines`` are of the same elements."""
+    """Return a limit cycle in the form that cells keep, with its states at ``times`` (p,).
+
+    The times are the passages of the rarest event of the cycle. ``machines`` determine how modes, the sets of linear
+    equations, are numbered.
+    """
     motion, segments = cycle.motion, machines.table.machines.segments
     legs, states = [leg for leg, _ in motion.plan.legs[1:]], motion.turn.states[0, 1:]
     if motion.itinerary.symmetric:
@@ -360,7 +393,7 @@ def convert_to_time(cells: CellBatch, variables: tuple[Variable, ...]) -> None:
     """Convert the results of all cells from periods to units of time, and write the periods of cycles.
 
     The exponent along a motion is set to 0, its exact value: of chaos the exponent nearest to 0, of a torus the second.
-    Sections are the passages of an event.
+    The sections, the states that a map shows, are those at the passages of an event.
     """
     results = cells.results
     for variable in variables:

@@ -1,4 +1,7 @@
-"""Averages and counts of cells: the current average, the earlier one, and both combined."""
+"""Averages over the motions of cells: the current average, the earlier one, and both combined.
+
+An average has the growth of tangent vectors, from which exponents follow, and counts of impacts and rests.
+"""
 
 import numpy as np
 
@@ -19,27 +22,32 @@ CHANGED = 3.0
 """Maximum difference of two averages of the same motion, in standard errors."""
 
 NEVER_RESTARTED = np.isin(np.arange(TALLIES), (WORK, STATUS))
-"""Counts of a motion from its start to its end."""
+"""Mask of the columns of a motion's counts that are counted from its start to its end."""
 
 SHEAR_LIMIT, SHEAR = 3e-4, 0.02
 """Maximum mean growth that may be due to shear, and maximum relative deviation from the law of shear: see ``shears``.
 """
 
 FARTHEST = 1e9
-"""Maximum ratio of error to tolerance of interest: no budget has the periods for more."""
+"""Maximum ratio of an error to its target: no budget has the periods for a larger one."""
 
 
 def clearly_positive(mean: Array, error: Array, periods: Array) -> Mask:
-    """Return the mask of mean growths over these periods that are certainly positive."""
+    """Return the mask of cells whose mean growth per period, known to ``error``, is certainly positive.
+
+    ``periods`` is the number of periods of each mean.
+    """
     return (mean > CLEAR * error) & (mean * periods > GROWN)
 
 
 def shears(previous: Array, now: Array, apart: Array) -> Mask:
-    """Return the mask of weighted mean growths of two intervals that are due to shear.
+    """Return the mask of cells whose mean growth in two intervals is due to shear, so that the exponent is zero.
 
-    ``apart`` is the number of periods between their midpoints. Without loss the frequencies of a torus depend on its
-    amplitude. A disturbance then grows in proportion to time, its logarithm by 1 / (t - c) per period, and 1 / now - 1
-    / previous = apart for any c. The exponent is zero.
+    previous, now  mean growth per period in the earlier and the later interval, weighted averages
+    apart          periods between the midpoints of the intervals
+
+    Without loss the frequencies of a torus depend on its amplitude. A disturbance then grows in proportion to time. Its
+    logarithm grows by 1 / (t - c) per period, so 1 / now - 1 / previous = apart for any c.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         linear = np.abs(1.0 / now - 1.0 / previous - apart) < SHEAR * apart
@@ -47,14 +55,18 @@ def shears(previous: Array, now: Array, apart: Array) -> Mask:
 
 
 def periods_for(periods: Array, error: Array, target: Array | float) -> Array:
-    """Return the periods until an average with this error after these periods reaches the target error."""
+    """Return the number of periods after which the error of an average will have fallen to ``target``.
+
+    The error is ``error`` after ``periods`` periods, and falls with the square root of their number.
+    """
     return np.asarray(periods * np.minimum(error / target, FARTHEST) ** 2)
 
 
 def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
-    """Return the current average of these cells; of 0 periods if growth does not count.
+    """Return the current average of these cells; its number of periods is 0 while growth does not count yet.
 
-    Without tangent vectors it has only impacts. If all directions are lost, the mean is exact.
+    An average without tangent vectors has only counts of impacts. If all deviations have died out, since a mass rests
+    on a stop, the mean is -inf and exact.
     """
     motions, levels = cells.batch.motions, cells.batch.levels
     periods = levels[rows, 0, COUNT] if cells.vectors else cells.periods_flown[rows] - cells.began[rows]
@@ -71,7 +83,7 @@ def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
 
 
 def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array]:
-    """Return the earlier and the current average of these cells combined, and an error for stationary motion.
+    """Return the earlier and the current average of these cells as one average, and its error for stationary motion.
 
     The error of the combined average is at least the standard error from the difference of the two averages: far apart
     in time, each may be too short to show slow changes of the motion. The second result is the error without that
@@ -95,7 +107,7 @@ def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array
 
 
 def has_changed(cells: CellBatch, rows: Rows) -> Mask:
-    """Return the mask of cells whose earlier and current average differ."""
+    """Return the mask of cells whose motion has changed: their two averages differ by more than the errors allow."""
     now, e = current_average(cells, rows), at_rows(cells.previous_average, rows)
     return np.asarray(np.abs(now.mean - e.mean) > CHANGED * np.hypot(now.error, e.error))
 
@@ -108,14 +120,14 @@ def close(cells: CellBatch, rows: Rows) -> None:
 
 
 def restart_first(cells: CellBatch, rows: Rows) -> None:
-    """Restart the current average of these cells as their first, and drop all earlier counts."""
+    """Make the current average of these cells their first one, in place; the earlier average and counts are dropped."""
     for field in cells.previous_average:
         field[rows] = 0.0
     cells.tallied[rows], cells.first[rows] = NOTHING_COUNTED, cells.began[rows]
 
 
 def lose_all(cells: CellBatch, rows: Rows) -> None:
-    """Set the averages of these cells to the limit of lost directions: -inf, all directions."""
+    """Set the averages of these cells, in place, to those without any tangent vector left: growth -inf, error 0."""
     close(cells, rows[cells.averaging[rows] & (cells.previous_average.periods[rows] == 0.0)])
     cells.averaging[rows] = False
     cells.previous_average.mean[rows], cells.previous_average.error[rows], cells.previous_average.growth[rows] = (
@@ -126,7 +138,10 @@ def lose_all(cells: CellBatch, rows: Rows) -> None:
 
 
 def counts(cells: CellBatch, rows: Rows) -> tuple[Array, Rows]:
-    """Return the counts (rows, TALLIES) of these cells since the first average that counts, and the periods (rows,)."""
+    """Return the counts (rows, TALLIES) of these cells since the first average that counts, and their periods (rows,).
+
+    The counts are those of impacts, rests, speeds and work; the columns are named in kernel/motion.py.
+    """
     before, now = cells.tallied[rows], cells.batch.motions.tally[rows]
     both = before + now
     both[:, MIN_SPEED] = np.minimum(before[:, MIN_SPEED], now[:, MIN_SPEED])
@@ -136,14 +151,20 @@ def counts(cells: CellBatch, rows: Rows) -> tuple[Array, Rows]:
 
 
 def begin(cells: CellBatch, rows: Rows) -> None:
-    """Let the growth of these cells count from now on; without an earlier average, all counts."""
+    """Begin an average of these cells, in place: the growth of their tangent vectors counts from now on.
+
+    Without an earlier average, impacts and rests count from now on too.
+    """
     restart(cells, rows)
     cells.averaging[rows] = True
     restart_first(cells, rows[cells.previous_average.periods[rows] == 0.0])
 
 
 def restart(cells: CellBatch, rows: Rows) -> None:
-    """Average these cells from now on, and continue to count. Frames that lost directions are renewed."""
+    """Restart the average of these cells, in place, and continue their counts of impacts and rests.
+
+    Tangent vectors of motions that lost a direction are set anew.
+    """
     motions, batch = cells.batch.motions, cells.batch
     cells.tallied[rows], _ = counts(cells, rows)
     cells.began[rows] = cells.periods_flown[rows]

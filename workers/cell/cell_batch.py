@@ -17,7 +17,7 @@ Results = dict[str, NDArray[Any]]
 """Result arrays (N, ...) by name."""
 
 RETURNS = 64
-"""Minimum number of returns of a motion that are known for each cell, for any ``max_period``."""
+"""Minimum number of states at sections t = k T that are stored of each motion, for any ``max_period``."""
 
 FAR = 1e6
 """Size from which on a growing motion counts as unbounded, relative to its start, its forced motion and the stops,
@@ -28,8 +28,8 @@ STEPS, SAME_STEP = 16, 1e-7
 and their minimum share of the sum."""
 
 CLOSING_DISTANCE, SAME_CYCLE = 1e-8, 1e-6
-"""Maximum distances, relative to the motion. CLOSING_DISTANCE: of a state on a cycle from its image after one turn, and
-of a motion on the cycle. SAME_CYCLE: of states, and of periods, of one cycle solved twice."""
+"""Maximum distances, relative to the motion. CLOSING_DISTANCE: from a state on a cycle to its image after one turn, and
+from a motion to the cycle that it is on. SAME_CYCLE: between states, and between periods, of one cycle solved twice."""
 
 WORK_PER_PERIOD, MIN_WORK = 200, 1_000_000
 """Number of evaluations allowed to a cell per period of its budget, and minimum for all periods together.
@@ -43,7 +43,7 @@ def work_allowed(periods: int) -> int:
 
 
 class GrowthAverage(NamedTuple):
-    """An average of N cells.
+    """Averages over the motions of N cells: growth of their tangent vectors, and impacts.
 
     mean, error  (N,) growth of the first tangent vector per period, and its standard error
     periods      (N,) periods averaged
@@ -59,12 +59,16 @@ class GrowthAverage(NamedTuple):
 
 
 def energy_norms(metric: Array, h: Array) -> Array:
-    """Return the energy norms (...) of block states (..., n, 2) with metric (..., n)."""
+    """Return the energy norms (...) of states (..., n, 2) of decoupled equations; ``metric`` (..., n) weights h^2."""
     return np.asarray(np.sqrt(np.sum(metric * h[..., 0] ** 2 + h[..., 1] ** 2, axis=-1)))
 
 
 def sizes(oscillators: Oscillator, h: Array) -> Array:
-    """Return the sum (N,) of energy norms of block states h (N, n, 2), forced motion and displacements to stops."""
+    """Return the sizes (N,) of motions, each a sum of energy norms.
+
+    The sum is that of the states h (N, n, 2) of decoupled equations, of forced motion, and of displacements to the
+    stops.
+    """
     n, metric = h.shape[1], oscillators.gap.metric
     rows, stops, _ = oscillators.contacts
     reach = np.max(np.where(np.isfinite(stops), np.abs(stops), 0.0), axis=-1)
@@ -75,12 +79,12 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
 
 
 class CellCycle(NamedTuple):
-    """A cycle of a machine without a force.
+    """A limit cycle, a periodic motion of its own length, of a machine without a force.
 
     period   period of the cycle
-    section  (p, 2n) states at its rarest event
+    section  (p, 2n) states at the passages of its rarest event
     events   (m, 2n) states just after each of its events
-    numbers  (m,) numbers of its modes from there on
+    numbers  (m,) numbers of the modes after the events; a mode is a set of linear equations between two events
     """
 
     period: float
@@ -89,19 +93,20 @@ class CellCycle(NamedTuple):
     numbers: NDArray[np.int64]
 
     def contains_states(self, states: Array, numbers: NDArray[np.int64]) -> bool:
-        """Return True if a motion is on the cycle.
+        """Return True if a motion is on the cycle: one of its states after events is a state of the cycle.
 
-        ``states`` (K, 2n) are those just after its events, ``numbers`` (K,) its modes from there on.
+        states   (K, 2n) states of the motion just after its events
+        numbers  (K,) numbers of its modes, sets of linear equations, after these events
         """
         near = self._away(states[:, None]) <= CLOSING_DISTANCE
         return bool(np.any(near & (numbers[:, None] == self.numbers)))
 
     def is_through(self, state: Array, period: float) -> bool:
-        """Return True if this is the cycle of a period through a state (2n,) just after an event."""
+        """Return True if a cycle of this period through a state (2n,), just after an event, is this cycle."""
         return bool(self._away(state).min() <= SAME_CYCLE and abs(period - self.period) <= SAME_CYCLE * self.period)
 
     def _away(self, states: Array) -> Array:
-        """Return the distances (..., m) of states (..., 2n) from the states after events, as shares of the size."""
+        """Return the distances (..., m) of states (..., 2n) from the cycle, at its states after events, per size."""
         x, v = np.split(np.abs(self.events), 2, axis=1)
         omega = 2.0 * np.pi / self.period
         size = max(x.max(), v.max() / omega)
@@ -110,20 +115,22 @@ class CellCycle(NamedTuple):
 
 
 class CellBatch:
-    """N cells and the stage of each; ``batch`` has their motions and the periods of the current interval.
+    """N cells in progress: their motions, the periods spent on them, their averages and their results.
 
-    Cells without a reason against their oscillator begin at physical section states ``starts`` (N, 2n). Cells without a
-    motion are written invalid at once. The argument ``mode`` (N,) has the modes of motions that continue from these
-    states; without it the state decides.
+    Cells with a valid oscillator begin at physical section states ``starts`` (N, 2n). Cells without a motion are
+    written invalid at once. The argument ``mode`` (N,) has the modes of motions that continue from these states;
+    without it the state decides.
 
+    batch             motions, and the periods of the current interval
+    bare              the same motions and periods without tangent vectors
     is_active         (N,) True if the cell has not ended
     has_frame         (N,) True if tangent vectors are carried along
-    averaging         (N,) True if their growth counts
+    averaging         (N,) True if the growth of the tangent vectors counts
     periods_used      (N,) periods spent on the cell
     periods_flown     (N,) periods of its motion
-    since             (N,) periods before it looked chaotic
-    began             (N,) periods before the current average and counts
-    first             (N,) periods before the first average that counts
+    since             (N,) periods of its motion before it began to look chaotic
+    began             (N,) periods of its motion before the current average and counts
+    first             (N,) periods of its motion before the first average that counts
     previous_average  average before the current one; of 0 periods if there is no such average
     tallied           (N, TALLIES) counts between ``first`` and ``began``
     directions        number of directions of the state, 2n
@@ -133,8 +140,10 @@ class CellBatch:
     mode              (N,) number of the mode of the ``state`` in the results
     orbits            orbits of the cells that were proved to converge to one
     unforced          True for machines without a force, whose periods are natural periods
-    cycles            proved cycles by row
+    cycles            proved limit cycles by row
     far_norm          (N,) energy norm from which on a growing motion counts as unbounded; infinite for other motions
+
+    A section is an instant t = k T, T the forcing period; a mode is a set of linear equations between two events.
     """
 
     def __init__(
@@ -185,13 +194,13 @@ class CellBatch:
         return np.flatnonzero(self.is_active)
 
     def set_interval(self, rows: Rows, periods: Rows | int) -> None:
-        """Give these cells an interval of this number of periods."""
+        """Set the number of periods for which these cells are to be simulated next."""
         self.batch.periods[rows], self.batch.completed[rows] = periods, 0
 
     def run(self, rows: Rows, *, to_end: bool = False) -> Rows:
-        """Advance these cells; return the cells that have reached the end of their intervals.
+        """Simulate these cells further; return the cells that have reached the end of their intervals of periods.
 
-        With ``to_end`` all cells are advanced to the end.
+        With ``to_end`` all cells are simulated to the end.
         """
         framed = self.has_frame[rows]
         for batch, some in ((self.batch, rows[framed]), (self.bare, rows[~framed])):
@@ -202,16 +211,22 @@ class CellBatch:
         return through
 
     def known_section_count(self) -> Rows:
-        """Return the number of known sections of each cell's interval."""
+        """Return the number (N,) of states at sections t = k T that are stored of the last interval of each cell."""
         return np.minimum(self.batch.periods, self.batch.sections.shape[1])
 
     def known_sections(self, r: int) -> Array:
-        """Return the known sections (K, n, 2) of a cell's interval, as block states."""
+        """Return the stored states (K, n, 2) of cell r at the sections t = k T of its last interval.
+
+        They are states of decoupled equations.
+        """
         sections = self.batch.sections[r]
         return sections[len(sections) - int(self.known_section_count()[r]) :]
 
     def known_states(self, r: int) -> Array:
-        """Return the known sections (K, 2n) of a cell's interval, as physical states."""
+        """Return the stored states (K, 2n) of cell r at the sections t = k T of its last interval.
+
+        They are displacements and velocities.
+        """
         return np.asarray(self.known_sections(r).reshape(-1, self.directions) @ self.oscillators.to_physical[r].T)
 
     def survived_periods(self, rows: Rows) -> Rows:
@@ -219,7 +234,7 @@ class CellBatch:
         return self.periods_flown[rows] - self.since[rows]
 
     def is_running_away(self, rows: Rows) -> Mask:
-        """Return the mask of cells whose drift gains the same speed in each period.
+        """Return the mask of cells whose drifting coordinate gains the same speed in each period.
 
         Without damping the momentum of the drift changes only by load, force and friction.
         """
@@ -233,9 +248,9 @@ class CellBatch:
         return np.asarray((counts > STEPS) & away & (high - low <= SAME_STEP * high))
 
     def fly_off(self, rows: Rows) -> Mask:
-        """Return the mask of cells that move by the same step in each period, at one velocity, with no stop ahead.
+        """Return the mask of cells in which a free part moves on forever, by equal steps, with no stop ahead.
 
-        The moving part is free: it has no stiffness, and nothing else changes from section to section.
+        The part has no stiffness, and nothing else changes from one section t = k T to the next.
         """
         (contacts, stops, _), n = self.oscillators.contacts, self.oscillators.gap_row.shape[1]
         free = self.oscillators.gap.lam[rows] == 0.0
@@ -260,7 +275,7 @@ class CellBatch:
         return off
 
     def are_far(self, rows: Rows) -> Mask:
-        """Return the mask of cells that move so far that nothing seems to limit them, also beyond doubles."""
+        """Return the mask of cells whose growing motion is so large, or infinite, that nothing seems to limit it."""
         far = np.isfinite(self.far_norm[rows])
         some = rows[far]
         size = energy_norms(self.oscillators.gap.metric[some], self.batch.motions.h[some])
@@ -272,6 +287,6 @@ class CellBatch:
         return self.settings.max_periods + self.settings.survival - self.periods_used
 
     def is_at_rest(self, rows: Rows) -> Mask:
-        """Return the mask of cells that have lost all directions, since their only mass has rested."""
+        """Return the mask of cells whose only mass has rested on a stop, so that the motion has lost all deviations."""
         lost = np.maximum(self.tallied[rows, LOST], self.batch.motions.tally[rows, LOST])
         return np.asarray(lost >= self.directions)

@@ -21,7 +21,8 @@ from workers.model.oscillator import Array, Oscillator, at_rows
 from workers.orbit.recorded_legs import leg_from_row, legs_of_periods
 
 MIN_EXAMINED_PERIODS = 64
-"""Minimum number of natural periods over which a motion is examined: as long as all before, or until it closes."""
+"""Minimum number of natural periods over which a motion is examined event by event; it is examined for as long as it
+has been simulated before, or until it closes."""
 
 SPARSER = 0.25
 """Share of all periods so far after which the events are examined again, beyond MIN_EXAMINED_PERIODS periods. All
@@ -34,10 +35,12 @@ AT_ONE_TIME = 1e-9
 class EventTrail(NamedTuple):
     """The last G events of one motion; events of several signals at one time are one event.
 
-    legs    (E, columns) the leg from each event of a signal, see leg_record.LegRecord
+    legs    (E, columns) the motion from each event of a signal to the next one, see leg_record.LegRecord
     first   (G,) index of the first leg of each event
-    keys    (G,) key of each event: equal if signals, sides and next mode are equal
+    keys    (G,) key of each event: equal if signals, sides and the mode (linear equations) that follows are equal
     states  (G, 2n) states after the events, as shares of the range of each component
+
+    A signal is a number computed from the state; it reaches an end of its range at its events.
     """
 
     legs: Array
@@ -47,7 +50,10 @@ class EventTrail(NamedTuple):
 
     @property
     def states_after(self) -> tuple[Array, NDArray[np.int64]]:
-        """Physical states (E, 2n) after the signals' events, and the numbers (E,) of the modes from there on."""
+        """Physical states (E, 2n) just after the events, and the numbers (E,) of the modes that begin there.
+
+        A mode is a set of linear equations of motion between two events.
+        """
         size = self.states.shape[1]
         return self.legs[:, LEG_STATE : LEG_STATE + size], self.legs[:, LEG.number].astype(np.int64)
 
@@ -57,14 +63,19 @@ class EventTrail(NamedTuple):
         return EventTrail(self.legs[:end], self.first[:count], self.keys[:count], self.states[:count])
 
     def distance_between(self, last: int, first: int) -> float:
-        """Return the distance of the states after two events."""
+        """Return the distance of the states after the events with indices ``last`` and ``first``.
+
+        It is the largest difference of a component, as a share of the range of that component.
+        """
         return float(np.max(np.abs(self.states[last] - self.states[first])))
 
 
 def trail_of(legs: Array, size: int, period: float) -> EventTrail:
-    """Return the trail, the events in order of time, of legs (E, columns); ``period`` is the natural period.
+    """Return the events of a motion, in order of time, from its legs (E, columns).
 
-    A leg is the motion in one mode, from one event to the next. ``size`` is the number of components of a state.
+    legs    parts of the motion, each from one event to the next, see leg_record.LegRecord
+    size    number of components of a state
+    period  natural period
     """
     events = legs[legs[:, LEG.signal] >= 0.0]
     columns = events[:, [LEG.number, LEG.signal, LEG.side]].astype(np.int64)
@@ -81,7 +92,10 @@ def trail_of(legs: Array, size: int, period: float) -> EventTrail:
 
 
 def _first_at_one_time(events: Array, period: float) -> NDArray[np.int64]:
-    """Return the indices of events that do not follow an event of another signal at once."""
+    """Return the indices of ``events`` that come alone, or first of several that occur at one time.
+
+    Events of the same signal, a number computed from the state, never count as one. ``period`` is the natural period.
+    """
     later = np.diff(events[:, LEG.start], prepend=-np.inf) > AT_ONE_TIME * period
     for k in np.flatnonzero(~later).tolist():
         begin = k - 1
@@ -92,14 +106,15 @@ def _first_at_one_time(events: Array, period: float) -> NDArray[np.int64]:
 
 
 def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, limit: int = 0) -> Iterator[EventTrail]:
-    """Yield trails of one motion, ever longer, until it cannot be followed or its work is spent.
+    """Yield the events of one motion as trails, ever longer, until it cannot be followed or costs too much.
 
     cells  the cells
     r      row of the motion
-    start  physical state and number of its mode at the start; None for the present state
+    start  physical state, and number of the mode (the linear equations) that holds there; None for the present state
     limit  maximum number of periods; 0 for as many as the motion has flown
 
-    There is a trail for each number of periods up to MIN_EXAMINED_PERIODS, and for ever fewer beyond.
+    The motion costs too much if its allowed evaluations are spent. There is a trail for each number of periods up to
+    MIN_EXAMINED_PERIODS, and for ever fewer beyond.
     """
     one = np.array([r])
     machine, size, motions = at_rows(cells.oscillators, one), cells.directions, cells.batch.motions
@@ -124,10 +139,15 @@ def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, lim
 def turn_from(
     machine: Oscillator, trail: EventTrail, m: int, first: int
 ) -> tuple[OrbitMachines, Orbit, NDArray[np.int64]]:
-    """Return (machine, orbit, keys): the last m events of a trail as one turn, beginning with event ``first``.
+    """Return (machine, orbit, keys): the last m events of a motion as one turn that begins with event ``first``.
 
-    A key is a number that is equal for events of the same kind. There is a key for each signal's event. Of several
-    signals at one time the first has the key, the others have -1.
+    machine  the machine, as the only row of a batch
+    trail    the events of the motion
+    m        number of events of the turn
+    first    index of the event, among the last m
+
+    The machine of the result has the length of the turn as its period. There is a key for each event, equal for events
+    of the same kind. Of several events at one time the first has the key, the others have -1.
     """
     starts = np.append(trail.first, len(trail.legs))[len(trail.keys) - m :]
     rows = trail.legs[starts[0] :].copy()
@@ -144,7 +164,7 @@ def turn_from(
 
 
 def passages(cells: CellBatch, r: int, count: int) -> Array:
-    """Return the states (count, 2n) just after the commonest event of a motion that does not close, from its result on.
+    """Return the states (count, 2n) just after the commonest event of a motion, from the state in its results on.
 
     They are NaN from the event on at which the motion cannot be followed.
     """

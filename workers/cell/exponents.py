@@ -11,7 +11,8 @@ from workers.model.oscillator import COLUMN, Array, Oscillator
 def free_exponents(oscillator: Oscillator) -> Array:
     """Return the exponents (2n,) per period of motion without impact, largest first; (N, 2n) for many oscillators.
 
-    -eta_j T twice for an underdamped block, -(eta_j -+ sqrt(eta_j^2 - lam_j)) T for another.
+    A decoupled equation h'' + 2 eta h' + lam h = 0 gives -eta T twice if it is underdamped, else -(eta -+ sqrt(eta^2 -
+    lam)) T.
     """
     block = oscillator.gap.blocks
     rates = np.concatenate([block[..., COLUMN.slow], block[..., COLUMN.fast]], axis=-1)
@@ -21,7 +22,7 @@ def free_exponents(oscillator: Oscillator) -> Array:
 def sum_of_exponents(oscillator: Oscillator, impacts_per_period: Array | float) -> Any:
     """Return the exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; (N,) for many.
 
-    The sum is NaN for impacts with R = 0, and for machines with modes.
+    The sum is NaN for impacts with R = 0, and for machines with other elements than one rigid contact.
     """
     if oscillator.has_modes:
         return np.full(np.shape(oscillator.period), np.nan)
@@ -48,17 +49,20 @@ def kaplan_yorke(spectrum: Array) -> Array:
 
 
 def sum_law_holds(tally: Array) -> Any:
-    """Return the mask of counts (..., TALLIES) for which sum_of_exponents holds: no rest, no impact with R = 0."""
+    """Return the mask of motions for which ``sum_of_exponents`` holds: without rest, without an impact with R = 0.
+
+    ``tally`` (..., TALLIES) has the counts of the motions.
+    """
     return (tally[..., LOST] == 0.0) & (tally[..., STUCK] == 0.0)
 
 
 def impact_count(tally: Array) -> Any:
-    """Return the impacts at both stops, from the counts (..., TALLIES) of motions."""
+    """Return the number of impacts at both stops together, from the counts (..., TALLIES) of motions."""
     return tally[..., UPPER] + tally[..., LOWER]
 
 
 def rests_on_stop(tally: Array) -> Any:
-    """Return the mask of counts (..., TALLIES) of motions in which the mass has stuck to a rigid stop.
+    """Return the mask of motions in which the mass has stuck to a rigid stop, from their counts (..., TALLIES).
 
     The mass usually sticks after a chatter of infinitely many impacts.
     """

@@ -1,4 +1,4 @@
-"""Intervals of periods of many motions: their beginning, their continuation, their failures."""
+"""Simulation of many motions over intervals of periods: how they begin, continue and fail."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ REASON_OF = np.array(
     ],
     dtype=np.int8,
 )  # fmt: skip
-"""The reason of a motion that cannot continue, by its status."""
+"""Code of the reason why a motion cannot continue, by the status that the kernel gave it."""
 
 
 def begin(
@@ -32,14 +32,15 @@ def begin(
     vectors: int = 0,
     record: int = 0,
 ) -> tuple[Motion, Reasons]:
-    """Return N motions from physical section states, and the reasons (N,) against them, ``reasons`` included.
+    """Return N motions from physical states at a section t = k T, and codes (N,) of why a motion is impossible.
 
     oscillators  N machines
-    reasons      (N,) reasons against the machines
+    reasons      (N,) codes of why the machines are invalid, NO_REASON if they are valid
     states       (N, 2n) physical section states
-    mode         (N,) numbers of the modes of motions that continue from these states; None if the state decides
+    mode         (N,) numbers of the modes, sets of linear equations, of motions that continue from these states;
+                 None if the state decides
     vectors      number of tangent vectors
-    record       maximum number of impacts to record
+    record       maximum number of impacts to store
     """
     N, size = states.shape
     motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
@@ -52,7 +53,7 @@ def begin(
 
 
 def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
-    """Return the reason why each motion cannot continue, NO_REASON if it can."""
+    """Return the code of the reason why each of these motions cannot continue, NO_REASON if it can."""
     tally = motions.tally[cells]
     stopped = REASON_OF[tally[:, STATUS].astype(np.int64)]
     runs, finite = tally[:, STATUS] == RUNNING, np.isfinite(motions.h[cells]).all(axis=(1, 2))
@@ -62,7 +63,10 @@ def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
 
 
 def batch_of(oscillators: Any, motions: Motion, n_sections: int = 0) -> MotionBatch:
-    """Return a batch of motions without periods to simulate, with room for the last ``n_sections`` sections of each."""
+    """Return a batch of motions with no periods to simulate yet, and room for their last states at sections t = k T.
+
+    ``n_sections`` is the number of section states for which each motion has room.
+    """
     N, n = motions.h.shape[:2]
     return MotionBatch(
         oscillators,
@@ -76,16 +80,17 @@ def batch_of(oscillators: Any, motions: Motion, n_sections: int = 0) -> MotionBa
 
 
 def has_ended(batch: MotionBatch) -> Mask:
-    """Return the mask of cells with nothing left to do: their periods, their motion or their work have ended."""
+    """Return the mask of cells that are finished: their periods are over, their motion failed, or it cost too much."""
     tally = batch.motions.tally
     return (batch.completed >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
 
 
 def run(batch: MotionBatch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -> None:
-    """Advance these cells of a batch, in place, until each has ended; at most ``lanes`` <= LANES at a time.
+    """Simulate these cells of a batch, in place, until each has ended; at most ``lanes`` <= LANES cells at a time.
 
-    Without ``to_end`` return once half of the lanes are idle, so that other cells can take their place. Cells with only
-    underdamped modes need less arithmetic and run separately. Cells whose free flight may grow run one after the other.
+    Without ``to_end`` return once half of these places are idle, so that other cells can take them. Cells with only
+    underdamped modes of vibration need less arithmetic and run separately. Cells whose free flight may grow run one
+    after the other.
     """
     if batch.oscillators.has_modes:
         signals, enough = batch.oscillators.table.machines.signals, 0 if to_end else min(lanes, len(cells)) // 2
@@ -103,9 +108,10 @@ def run(batch: MotionBatch, cells: Rows, *, to_end: bool = True, lanes: int = LA
 
 
 def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Array:
-    """Return physical section states (N, K, 2n) of motions, which are advanced to the last section.
+    """Return the physical states (N, K, 2n) of motions at the sections t = k T, beginning with the present ones.
 
     Row r has the first ``counts[r]`` <= K sections, and NaN beyond. Sections are NaN after a motion cannot be followed.
+    The motions are advanced to the last section in place.
     """
     N, n = motions.h.shape[:2]
     batch, every = batch_of(oscillators, motions), np.arange(N)
@@ -120,9 +126,9 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
 
 
 def run_periods(oscillator: Oscillator, motion: Motion, periods: int) -> int:
-    """Advance a motion by some periods, in place.
+    """Simulate a motion for ``periods`` periods, in place.
 
-    Return the number of periods completed, which is smaller if the motion or its work ends.
+    Return the number of periods completed, which is smaller if the motion fails or its allowed evaluations are spent.
     """
     batch = batch_of(many_of(oscillator), map_fields(motion, lambda field: field[None]))
     batch.periods[0] = periods

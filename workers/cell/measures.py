@@ -1,7 +1,7 @@
-"""Measures of a machine, of its contacts one by one, and losses, by another pass over the motion of each cell.
+"""Measures of a machine, results of its contacts and friction one by one, and losses of energy.
 
-Cells of known class are followed once more, over one turn of their orbit or WINDOW periods. Cells without a class keep
-their fill values.
+They need another pass over the motion of each cell: over one turn of its orbit, or WINDOW periods if the class of its
+motion is known but no orbit. Cells without a class keep their fill values.
 """
 
 from collections.abc import Mapping
@@ -41,13 +41,14 @@ WINDOW = 256
 """Number of periods, from ``state`` on, over which motion without an orbit is measured."""
 
 WORK_PER_PERIOD = 2000
-"""Number of evaluations allowed per such period in addition to MIN_WORK; motion that costs more is not measured."""
+"""Number of evaluations allowed for each measured period, in addition to MIN_WORK; motion that costs more is not
+measured."""
 
 MACHINES_PER_BLOCK = 512
 """Number of machines measured together: each has a table of its modes."""
 
 KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
-"""Classes of motion with results for the machine."""
+"""Classes of motion for which the results that only this system has are computed."""
 
 MIRRORED = 1e-6
 """Maximum distance between a state and the mirror image of the state half an orbit later, as a share of both, on an
@@ -56,7 +57,10 @@ orbit that counts as symmetric."""
 
 @np.errstate(all="ignore")
 def measure(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
-    """Write the machine's own results of cells of known class, from parameters (N,) each."""
+    """Write the results that only this system has, its measures, contacts and losses, of cells with a known class.
+
+    ``params`` are the parameters (N,) of all cells by name.
+    """
     hybrid = cells.oscillators.has_modes
     if not (hybrid or definition.measures):
         return
@@ -82,10 +86,10 @@ def measure(cells: CellBatch, definition: Definition, params: Mapping[str, Array
 
 
 def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
-    """Correct the reason of undetermined cells that no budget decides, from parameters (N,) each.
+    """Replace the reason of undetermined cells whose class no number of periods would decide.
 
     Motion of a machine that loses nothing never settles; growth has a reason of its own. Motion without a drive dies
-    away.
+    away. ``params`` are the parameters (N,) of all cells by name.
     """
     reason = cells.results["reason"]
     undecided = cells.results["regime"] == UNDETERMINED
@@ -98,15 +102,18 @@ def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array
 
 
 def with_modes(cells: CellBatch, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
-    """Return the machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
+    """Return the machines of these cells in the form with modes, in which their measures are read.
+
+    A mode is a set of linear equations between two events. ``values`` (N,) are the parameters of the cells.
+    """
     oscillators = cells.oscillators
     return at_rows(oscillators, rows) if oscillators.has_modes else build_hybrid(definition.hybrid(values))[0]
 
 
 def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
-    """Return the periods (N,) over which these cells are measured, and the mask of cells that close.
+    """Return the periods (N,) over which these cells are measured, and the mask of cells whose motion closes.
 
-    The periods of a cell that closes are a turn of its orbit.
+    The periods of a motion that closes are one turn of its orbit.
     """
     period = cells.results["period"][rows].astype(np.int64)
     closes = period > 0
@@ -118,7 +125,10 @@ def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
 
 
 def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
-    """Return physical states (N, 2n) of these cells' motions at a section, and numbers (N, 1) of modes there."""
+    """Return states (N, 2n) at a section t = k T, from which these cells are measured, and numbers (N, 1) of modes.
+
+    A mode is a set of linear equations between two events. ``closes`` is the mask of cells whose motion closes.
+    """
     states, mode = cells.results["state"][rows], cells.mode[rows]
     proved = closes & (cells.oscillators.has_modes | (cells.results["regime"][rows] == PERIODIC))
     orbits = motions_at(cells.orbits.h, cells.orbits.mode)
@@ -130,7 +140,7 @@ def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> MeasurePlan:
-    """Return the measured quantities: measures, arguments of laws, and the range of the pictured coordinate."""
+    """Return the quantities to measure: measures, arguments of force laws, and the range of the pictured coordinate."""
     rows, orders, _ = definition.outputs(values)
     mode_machines: HybridMachines = machines.table.machines
     more = [*_arguments(definition, mode_machines), (machines.gap_row, 0.0)]
@@ -148,9 +158,12 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
 
 
 def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[Array, float]]:
-    """Return rows (N, n) and derivatives of the arguments of friction and springs in ``definition.fitted``.
+    """Return (row, order) of the argument of each friction law and each spring law that is an expression.
 
-    The depth of a contact is measured anyway.
+    row    (N, n) weights of the coordinates in the argument
+    order  1 if the weights act on velocities, as those of friction; else 0
+
+    The argument of a contact's law, its depth, is measured anyway.
     """
     first = len(definition.contacts)  # the rows of springs follow those of contacts
     frictions = [
@@ -163,12 +176,12 @@ def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[A
 def follow_motions(
     machines: Oscillator, meters: MeasurePlan, states: Array, codes: Rows, periods: Rows, closes: Mask
 ) -> tuple[MeasureTotals, Mask]:
-    """Return readings of motions over ``periods`` (N,), and the mask of motions that could be followed.
+    """Return the measured totals of motions over ``periods`` (N,), and the mask of motions that could be followed.
 
     machines  N machines with modes
     meters    measured quantities
     states    (N, 2n) physical states at the start
-    codes     (N, 1) mode numbers
+    codes     (N, 1) numbers of the modes, the linear equations, at the start
     periods   (N,) periods
     closes    (N,) mask of motions for which the periods are one turn of an orbit
     """
@@ -197,7 +210,12 @@ def _nothing_read(meters: MeasurePlan) -> MeasureTotals:
 
 
 def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals, span: Array) -> dict[str, Array]:
-    """Return the variables of measures."""
+    """Return the results of the definition's measures by name.
+
+    weights   (N, M) factors of the power of each measure
+    readings  totals over each motion
+    span      (N,) durations of the motions
+    """
     variables: dict[str, Array] = {}
     for m, (name, measure) in enumerate(definition.measures):
         square = readings.square[:, m] / span
@@ -214,7 +232,12 @@ def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals
 def _of_machine(
     machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
-    """Return the variables of a whole machine with modes."""
+    """Return the results of whole machines by name: mirror symmetry, range of the pictured coordinate, loss in dampers.
+
+    machines  N machines
+    readings  totals over each motion
+    closes    (N,) mask of motions that close after ``periods`` (N,)
+    """
     centred, centre = about_centre(machines)
     halves = readings.halves - np.concatenate([centre, np.zeros_like(centre)], axis=1)[:, None]
     if machines.drifting >= 0:  # the position of the drifting coordinate has no effect
@@ -232,7 +255,12 @@ def _of_machine(
 def _of_elements(
     definition: Definition, machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
-    """Return the variables of contacts and friction. A spring returns all energy, up to rounding."""
+    """Return the results of contacts and friction by name. A spring returns all energy, up to rounding.
+
+    machines  N machines
+    readings  totals over each motion
+    closes    (N,) mask of motions that close after ``periods`` (N,)
+    """
     variables: dict[str, NDArray[Any]] = {}
     span, pad = periods * 2.0 * np.pi / machines.omega, machines.contact_constants
     springs = (machines.soft > 0.0) & (machines.by_force == 0.0) & np.all(pad[..., 1] == 0.0, axis=1)
@@ -254,7 +282,12 @@ def _of_elements(
 def _of_laws(
     definition: Definition, machines: HybridMachines, readings: MeasureTotals, values: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Return the variables of laws that are expressions."""
+    """Return the results of force laws that are expressions, by name: how far their range was used, and error bounds.
+
+    machines  N machines
+    readings  totals over each motion
+    values    parameters (N,) by name
+    """
     variables: dict[str, Array] = {}
     m = len(definition.measures)
     for element in definition.fitted:

@@ -27,7 +27,10 @@ Values = dict[str, Any]
 
 @np.errstate(all="ignore")
 def observe(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
-    """Write the observables of cells of known class, from parameters (N,) each."""
+    """Write the values of the requested observables, such as phases of impacts, of cells with a known class of motion.
+
+    ``params`` are the parameters (N,) of all cells by name.
+    """
     observables = observables_of(cells.settings.observe, definition)
     rows = np.flatnonzero(np.isin(cells.results["regime"], KNOWN))
     for first in range(0, len(rows) if observables else 0, MACHINES_PER_BLOCK):
@@ -56,9 +59,10 @@ def record_observables(
     machines     N machines with modes
     observables  M observables
     outputs      rows and derivatives of the observables, see outputs_for
-    motions      physical states (N, 2n), mode numbers (N, 1), periods (N,), and a mask of motions that close
+    motions      physical states (N, 2n), numbers (N, 1) of modes (linear equations between events), periods
+                 (N,), and a mask of motions that close
     limit        maximum number of values of an observable
-    turns        see Definition
+    turns        periods 2 pi / omega in a period of the machine, see Definition
 
     The periods of a motion that closes are one turn of an orbit.
     """
@@ -104,7 +108,10 @@ def record_observables(
 def outputs_for(
     observables: tuple[Observable, ...], definition: Definition, values: Mapping[str, Array]
 ) -> tuple[Array, Array]:
-    """Return the rows (N, M, n) of observables, and the derivatives (N, M) that the rows act on, see Observable.row."""
+    """Return the weights (N, M, n) of the coordinates in M observables, and the derivatives (N, M) on which they act.
+
+    A derivative is an index in model/measures.ORDERS; see Observable.row.
+    """
     rows_of = [observable.row(definition, values) for observable in observables]
     rows = np.stack([row for row, _ in rows_of], axis=1)
     return rows, np.tile([order for _, order in rows_of], (len(rows), 1))
@@ -113,7 +120,7 @@ def outputs_for(
 def observe_orbits(
     definition: Definition, values: Mapping[str, Array], states: Array, periods: Rows, observed_by: str, limit: int
 ) -> Values:
-    """Return values of observables on N orbits from physical section states, over one turn.
+    """Return the values of observables on N orbits over one turn, from states at a section t = k T.
 
     definition   definition of the system
     values       parameters (N,) by name

@@ -14,17 +14,20 @@ from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
 NEAR_RETURN = 1e-2
-"""Maximum distance of a return, relative to the motion's scale, that may lead to a stable orbit."""
+"""Maximum distance of a state from an earlier one, relative to the motion's scale, at which a stable orbit is sought.
+"""
 
 LONG_PERIOD, LONG_ORBIT_BATCH = 1000, 64
-"""Longest period sought if an average indicates an orbit; number of cells whose sections are stored for that together.
-"""
+"""Longest period sought if an average indicates an orbit; number of cells whose section states are stored together
+then."""
 
 
 def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Rows:
-    """Write the results of cells proved to converge to a stable orbit; return the others.
+    """Write the results of cells proved to converge to a stable orbit; return the other cells.
 
-    An orbit is sought if the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
+    rows    cells at the end of an interval
+    budget  (N,) periods that may be spent on the search
+    near    (N,) distance from a former state, relative to the motion, below which an orbit is sought
     """
     spent = np.zeros_like(cells.periods_used)
     proved = _settled(
@@ -37,7 +40,11 @@ def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Ro
 
 
 def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
-    """Return the result of settle_cells for these cells, which is repeated for cells that needed a new mode."""
+    """Return the mask of cells ``rows`` that are proved to converge to an orbit, by ``settle_cells``.
+
+    The further arguments are those of settle_cells. If a mode, a set of linear equations between events, was missing,
+    it is built, and the cells are tried again.
+    """
     *inputs, orbits, spent = arguments
     proved = np.zeros(len(oscillators.tau), dtype=np.bool_)
 
@@ -50,10 +57,10 @@ def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
 
 
 def end_on_long_orbits(cells: CellBatch, rows: Rows) -> Rows:
-    """Write the results of cells proved to converge to orbits of up to LONG_PERIOD periods; return the others.
+    """Write the results of cells proved to converge to orbits of up to LONG_PERIOD periods; return the other cells.
 
-    Motions continue for as many periods, until such an orbit would close. Cells without the budget for these periods
-    are not tried.
+    Each motion is simulated for as many periods, after which such an orbit would close. Cells without the budget for
+    these periods are not tried.
     """
     tried = rows[cells.budget()[rows] > LONG_PERIOD + 1]
     for first in range(0, len(tried), LONG_ORBIT_BATCH):
@@ -63,7 +70,7 @@ def end_on_long_orbits(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
-    """Return the mask of cells with a proved long orbit.
+    """Return the mask of cells that are proved to converge to an orbit of up to LONG_PERIOD periods.
 
     Motions that rest are compared after a rest, where rounding has grown least.
     """
@@ -89,9 +96,10 @@ def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
 def has_coexisting_orbit(cells: CellBatch, rows: Rows) -> Mask:
     """Return the mask of cells with a known stable orbit apart from their motion.
 
-    Motion without impact is such an orbit if |Y| stays inside the stops, every mode is damped and no load moves a rigid
-    mode. An orbit that the motion came near and left again is another. A single mass also has one if a stop can hold it
-    at some phase of the force: the motion after a release repeats after the next rest.
+    Motion without impact is such an orbit if the forced response stays inside the stops, every mode of vibration is
+    damped and no load moves a rigid mode. An orbit that the motion came near and left again is another. A single mass
+    also has an orbit if a stop can hold it at some phase of the force: the motion after a release repeats after the
+    next rest.
     """
     if cells.oscillators.has_modes:
         machines = at_rows(cells.oscillators.table.machines, rows)
@@ -106,8 +114,8 @@ def has_coexisting_orbit(cells: CellBatch, rows: Rows) -> Mask:
 def moves_freely(machines: HybridMachines) -> Mask:
     """Return the mask of machines with a damped steady motion inside all stops.
 
-    False for machines with friction or with phases that change more than contacts: such a motion is no sum of
-    harmonics.
+    The mask is False for machines with friction, or with phases that change more than contacts, since their motion is
+    no sum of harmonics.
     """
     P, C, F = machines.sizes
     if F > 0 or machines.drifting >= 0:

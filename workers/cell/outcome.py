@@ -31,11 +31,14 @@ from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orb
 from workers.orbit.newton import PeriodicOrbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
-"""Regime of cells by their reason."""
+"""Regime of a cell that ends for a reason, such as a failure, by the code of the reason."""
 
 
 def write_results(cells: CellBatch, rows: Rows, **values: Any) -> None:
-    """Write the requested result variables of these cells. Cells with a regime have ended."""
+    """Write result variables of these cells, given by name, if the settings ask for them.
+
+    Cells whose regime is written have ended.
+    """
     for name, value in values.items():
         if name in cells.results:
             cells.results[name][rows] = value
@@ -44,7 +47,7 @@ def write_results(cells: CellBatch, rows: Rows, **values: Any) -> None:
 
 
 def end_stopped(cells: CellBatch, rows: Rows) -> Rows:
-    """Write the results of cells whose motion cannot continue, by their reason; return the others.
+    """Write the results of cells whose motion cannot continue, by their reason; return the other cells.
 
     A cell that has spent its evaluations is judged by its average, see ``put_by_average``.
     """
@@ -62,7 +65,7 @@ def end_stopped(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def end_impact_free(cells: CellBatch, rows: Rows) -> Rows:
-    """Write the results of cells whose motion cannot impact any more; return the others."""
+    """Write the results of cells whose motion cannot impact any more; return the other cells."""
     motions = cells.batch.motions
     growing = rows[cells.oscillators.growth[rows] > 0.0]
     if len(growing):
@@ -79,9 +82,9 @@ def end_impact_free(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def _end_linear(cells: CellBatch, rows: Rows) -> Rows:
-    """Write the results of cells whose motion changes with phases alone, see ``orbit.linear``; return the others.
+    """Write the results of cells whose linear equations change with phases alone; return the other cells.
 
-    Growing motion is unbounded, since nothing limits it.
+    See ``orbit.linear``. Growing motion is unbounded, since nothing limits it.
     """
     _, _, frictions = cells.oscillators.table.machines.sizes
     if frictions or cells.drifts or not len(rows):
@@ -104,7 +107,7 @@ def _end_linear(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def put_impact_free(cells: CellBatch, rows: Rows, h: Array) -> None:
-    """Write the results of cells that move without impact, from block states h on."""
+    """Write the results of cells that move without impact, from states h (N, n, 2) of their decoupled equations on."""
     if not len(rows):
         return
     oscillators = at_rows(cells.oscillators, rows)
@@ -140,7 +143,7 @@ def _end_on_active_stops(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def put_periodic(cells: CellBatch, rows: Rows) -> None:
-    """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet exponents.
+    """Write the results of cells with proved orbits. Impacts and rest are those of one turn; exponents are Floquet's.
 
     The error of the largest exponent is that of rounding, but at least the deviation of the sum of all exponents from
     its exact value: if a stiff machine hits a stop slowly under a large load, the rounding error of one more turn is
@@ -204,10 +207,10 @@ def _put_orbits(cells: CellBatch, rows: Rows, oscillators: Oscillator, orbits: P
 
 
 def put_averaged(cells: CellBatch, rows: Rows) -> None:
-    """Write the averages of these cells, without a class.
+    """Write what the averages of these cells give: exponents, impacts, rest and states. The regime is not written.
 
-    Impacts are counted over the periods of the averages, for the sum law. Rests and speeds are counted over all periods
-    since: a rest during watching belongs to the motion.
+    Impacts are counted over the periods of the averages, for the law of the sum of exponents. Rests and speeds are
+    counted over all periods since: a rest during watching belongs to the motion.
     """
     if not len(rows):
         return
@@ -228,10 +231,14 @@ def put_averaged(cells: CellBatch, rows: Rows) -> None:
 
 
 def put_contacts(cells: CellBatch, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
-    """Write rest and impacts from tallies (N, TALLIES) over some periods (N,), with ``hits`` (N,) per period.
+    """Write the results of rest and impacts of these cells.
+
+    tally    (N, TALLIES) counts of impacts, rests and speeds
+    periods  (N,) periods of these counts
+    hits     (N,) impacts per period
 
     An impact at speed v loses gap_mass (1 - R^2) v^2 / 2. The impact that completes a chatter to rest loses gap_mass
-    v^2 / 2, as all remaining impacts of the chatter together. See Oscillator.gap_mass.
+    v^2 / 2, as all remaining impacts of the chatter together. The factor gap_mass is explained at OscillatorScalars.
     """
     impacts, sticks, rests = impact_count(tally), tally[:, motion.STUCK] > 0.0, rests_on_stop(tally)
     gap_mass = cells.oscillators.gap_mass[rows]
@@ -253,7 +260,10 @@ def put_contacts(cells: CellBatch, rows: Rows, tally: Array, periods: Rows, hits
 def put_growth(cells: CellBatch, rows: Rows, tally: Array, average: GrowthAverage) -> None:
     """Write the exponents of these cells from an average.
 
-    Directions lost in the ``tally`` of the whole motion are lost, even if they are not lost in the average.
+    tally    (N, TALLIES) counts of the motions
+    average  growth of the tangent vectors
+
+    Directions that the whole motion has lost, by ``tally``, are lost even if they are not lost in the average.
     """
     spectrum = -np.sort(-average.growth / average.periods[:, None], axis=1)
     spectrum[np.arange(spectrum.shape[1]) >= cells.directions - tally[:, motion.LOST, None]] = -math.inf
@@ -268,9 +278,9 @@ def put_growth(cells: CellBatch, rows: Rows, tally: Array, average: GrowthAverag
 
 
 def put_chaotic(cells: CellBatch, rows: Rows, reason: NDArray[np.int8] | int = results.NO_REASON) -> None:
-    """Write the results of cells that look chaotic to the end; a reason explains an uncertain average.
+    """Write the results of cells that look chaotic to the end. A ``reason`` explains why an average is uncertain.
 
-    Without exponents they are aperiodic: no stable orbit is known.
+    If no exponents are requested, these cells are called aperiodic: no stable orbit is known.
     """
     put_averaged(cells, rows)
     regime = results.CHAOTIC if cells.vectors else results.APERIODIC
@@ -278,7 +288,11 @@ def put_chaotic(cells: CellBatch, rows: Rows, reason: NDArray[np.int8] | int = r
 
 
 def put_quasiperiodic(cells: CellBatch, rows: Rows, weighted: Array, spread: Array) -> None:
-    """Write the results of tori, their largest exponent from weighted averages."""
+    """Write the results of cells on tori.
+
+    weighted  (K,) their largest exponent, a weighted average of the growth
+    spread    (K,) its error
+    """
     put_averaged(cells, rows)
     write_results(cells, rows, regime=results.QUASIPERIODIC, largest=weighted, error=spread)
     if "spectrum" in cells.results:
@@ -297,8 +311,8 @@ def put_by_average(
 ) -> None:
     """Write the results of cells that end with their averages: chaos if it is clear, else undetermined.
 
-    unclear  reason of undetermined cells
-    clear    reason of cells whose chaos is clear
+    unclear  code of the reason of undetermined cells
+    clear    code of the reason of cells whose chaos is clear
     recurs   mask of cells whose motion recurs
 
     If only the difference of two averages makes chaos unclear, the reason is that it is not stationary. Motion that
@@ -317,9 +331,14 @@ def put_by_average(
 
 
 def put_states(cells: CellBatch, rows: Rows, oscillators: Oscillator, h: Array, mode: Rows, period: Rows) -> None:
-    """Write the physical states of these cells, given in blocks, and the K section states from these states on.
+    """Write the states of these cells in physical coordinates, and the states at K sections t = k T from there on.
 
-    An orbit of known ``period`` repeats its section states. States are NaN after the motion cannot be followed.
+    oscillators  the machines, a row for each cell
+    h            (N, n, 2) states of the decoupled equations
+    mode         (N, 1) numbers of the modes, sets of linear equations
+    period       (N,) periods of orbits, 0 without an orbit
+
+    An orbit repeats its section states. States are NaN after the motion cannot be followed.
     """
     motions, every = motion.motions_at(h, mode), np.arange(len(rows))
     cells.mode[rows] = mode[:, 0]
@@ -332,5 +351,12 @@ def put_states(cells: CellBatch, rows: Rows, oscillators: Oscillator, h: Array, 
 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
-    """Return a sum of exponents minus its exact value; NaN if that law does not hold, see exponents.sum_law_holds."""
+    """Return a sum of exponents minus its exact value; NaN if the law of the sum does not hold.
+
+    total  (N,) sum of the exponents per period
+    tally  (N, TALLIES) counts of the motions
+    hits   (N,) impacts per period
+
+    See exponents.sum_law_holds.
+    """
     return np.where(sum_law_holds(tally), total - sum_of_exponents(oscillators, hits), math.nan)

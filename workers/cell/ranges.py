@@ -7,17 +7,22 @@ from workers.kernel.motion import FLIGHT, LOWER, UPPER
 from workers.model.oscillator import Array, GuardedFlow, Oscillator, Rows
 
 FOLLOWED = 64
-"""Number of periods over which the range is sought of a motion that neither closes nor reaches both stops."""
+"""Number of periods over which the range of a motion is measured if the motion neither closes nor reaches both stops.
+"""
 
 WORK_PER_PERIOD, LEAST_WORK = 1000, 100_000
 """Number of evaluations allowed for each such period, and minimum for all periods together."""
 
 
 def impact_range(oscillators: Oscillator, tally: Array, h: Array, mode: Rows, periods: Rows) -> Array:
-    """Return maximum minus minimum y (N,) of motions with impacts and counts ``tally`` (N, TALLIES).
+    """Return maximum minus minimum (N,) of the gap coordinate y over motions with impacts.
 
-    The range is the whole gap if impacts were counted at both stops. Otherwise y is followed from block states h (N, n,
-    2) in modes (N, 1) over ``periods`` (N,), through every turning point. It is NaN if the motion cannot be followed.
+    tally    (N, TALLIES) counts of the motions
+    h, mode  (N, n, 2), (N, 1) states of the decoupled equations, and numbers of the modes (linear equations)
+    periods  (N,) periods over which y is followed
+
+    The range is the whole gap if impacts were counted at both stops. Otherwise y is followed through every turning
+    point. The range is NaN if the motion cannot be followed.
     """
     if oscillators.has_modes:
         return np.full(len(tally), np.nan)  # there is no single gap coordinate
@@ -27,7 +32,7 @@ def impact_range(oscillators: Oscillator, tally: Array, h: Array, mode: Rows, pe
 
 
 def free_range(oscillators: Oscillator, h: Array) -> Array:
-    """Return maximum minus minimum y (N,) of motions without impact from block states h (N, n, 2).
+    """Return maximum minus minimum (N,) of the gap coordinate over motions without impact, from states h (N, n, 2).
 
     The range is twice the amplitude of the forced response if the response is a single harmonic and the rest has
     decayed: h = 0 except the position of a rigid mode. For several harmonics it is found from turning points over one
@@ -51,7 +56,10 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
 
 @np.errstate(divide="ignore", invalid="ignore")
 def _free_amplitude(gap: GuardedFlow, h: Array) -> Array:
-    """Return the summed amplitudes (N,) in y of undamped oscillations at block states h (N, n, 2); else NaN."""
+    """Return the summed amplitudes (N,) of free, undamped oscillations of the gap coordinate, at states h (N, n, 2).
+
+    The result is NaN if an oscillation is damped or rigid.
+    """
     w = np.sqrt(gap.lam)
     swing = np.hypot(gap.c0 * h[..., 0] + gap.c1 * h[..., 1], gap.c0 * h[..., 1] / w - gap.c1 * h[..., 0] * w)
     swing = np.where((gap.eta == 0.0) & (gap.lam > 0.0), swing, np.nan)
@@ -59,16 +67,22 @@ def _free_amplitude(gap: GuardedFlow, h: Array) -> Array:
 
 
 def _followed(oscillators: Oscillator, h: Array, mode: Rows, periods: Rows, cells: Rows) -> Array:
-    """Return the range of these cells by ``excursions``, 0 for a motion at rest; NaN for the other cells."""
+    """Return the range (N,) of the gap coordinate of these cells, found by ``excursions``; NaN for all other cells.
+
+    h, mode  (N, n, 2), (N, 1) states of the decoupled equations, and numbers of the modes (linear equations)
+    periods  (N,) periods over which motions are followed
+
+    The range of a motion at rest is 0.
+    """
     allowance = np.maximum(LEAST_WORK, WORK_PER_PERIOD * periods)
     ends = excursions(oscillators, h, mode, periods, allowance, cells)
     return np.where(ends[:, 0] > ends[:, 1], 0.0, ends[:, 1] - ends[:, 0])
 
 
 def steady_state(oscillators: Oscillator, h: Array) -> Array:
-    """Return the limits of block states h (N, n, 2) without impact.
+    """Return the states (N, n, 2) in which motions without impact settle, from states h (N, n, 2).
 
-    Damped rigid modes come to rest; undamped motion continues.
+    Damped rigid modes come to rest; undamped motion continues. States are those of decoupled equations.
     """
     eta, lam = oscillators.gap.eta, oscillators.gap.lam
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -8,12 +8,12 @@ from workers.cell.exponents import impact_count
 from workers.model.oscillator import COLUMN, Array, Mask, Rows
 
 FEWEST_HITS = 0.5
-"""Minimum number of impacts in an interval if impacts continue, as a share of the number expected from the impacts so
-far."""
+"""Minimum number of impacts in an interval of periods at which impacts count as continuing. The unit is the number
+expected from the impacts so far."""
 
 
 class Recurrence:
-    """History of N motions: their energies at sections, and their impacts.
+    """History of N motions, which shows if they recur: energies at sections t = k T, and impacts.
 
     low, high    (N,) range of the energies seen so far
     hits, until  (N,) impacts and periods counted up to the last update
@@ -36,8 +36,8 @@ class Recurrence:
 
         The update counts once the transient is over (``settled``).
 
-        The energy ranges of any torus at RETURNS sections overlap. Decaying motion impacts ever more rarely: a single
-        flight may last longer than all of the motion before it.
+        The ranges of the energy of a torus, over any RETURNS sections t = k T, overlap. Decaying motion impacts ever
+        more rarely: a single flight may last longer than all of the motion before it.
         """
         low, high = _energy_ranges(cells, rows)
         tally, periods = counts(cells, rows)
@@ -55,9 +55,9 @@ class Recurrence:
 
 
 def _energy_ranges(cells: CellBatch, rows: Rows) -> tuple[Array, Array]:
-    """Return the minimum and the maximum energy (rows,) at the last sections of these cells.
+    """Return the minimum and the maximum energy (rows,) of these cells at their last sections t = k T.
 
-    Rigid modes count with their kinetic energy.
+    Rigid motions count with their kinetic energy.
     """
     blocks, sections = cells.oscillators.gap.blocks[rows], cells.batch.sections[rows, -RETURNS:]
     weight = np.where(blocks[..., COLUMN.lam] != 0.0, blocks[..., COLUMN.metric], 0.0)

@@ -33,11 +33,11 @@ MIN_TRANSIENT, RELAXATIONS, MAX_TRANSIENT_SHARE = 256, 3.0, 0.25
 """The transient: minimum number of periods, number of relaxation times, and maximum share of max_periods."""
 
 NEAR_LATER = 1e-3
-"""NEAR_RETURN after the first interval. The motion has had time to come nearer, and chaos often returns within
-NEAR_RETURN itself, at the cost of a trial each time."""
+"""Maximum distance of a state from an earlier one, as NEAR_RETURN, after the first interval. The motion has had time to
+come nearer, and chaos often returns within NEAR_RETURN itself, at the cost of a trial each time."""
 
 WARM_UP = 64
-"""Periods in which the tangent frame aligns before its growth counts."""
+"""Number of periods in which tangent vectors align before their growth counts."""
 
 FIRST_AVERAGE = 192
 """Periods averaged before the average is first judged."""
@@ -53,7 +53,7 @@ MIN_WATCH = 256
 """Minimum number of periods of an interval of watching; each further one is half as long as the survival before it."""
 
 TORUS_LIMIT = 1e-5
-"""Maximum modulus of the weighted averages of two intervals that counts as zero."""
+"""Largest modulus of a weighted average of growth that counts as zero; two intervals must show it."""
 
 TORUS_RETURN = 1e-5
 """Minimum distance of the last RETURNS returns on a torus, relative to the motion's scale. With a nearer return the
@@ -66,12 +66,12 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contrac
     oscillators  N machines
     rows         rows of the motions
     hits         impacts per period
-    contraction  with modes, change per period of the log of volume
+    contraction  change per period of the logarithm of volume in state space; unused for one rigid contact alone
 
-    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; an impact reduces one of the 2n
-    squares in the energy, with R > 1 none. The result may be infinite. If a motion grows, eta is the smallest rate of
-    growth or decay. With modes ``contraction`` shows, in place of R, the loss by all contacts and frictions: without
-    impacts at most one square per period.
+    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode of vibration between impacts; an impact reduces one of
+    the 2n squares in the energy, with R > 1 none. The result may be infinite. If a motion grows, eta is the smallest
+    rate of growth or decay. For other machines than those with one rigid contact, ``contraction`` shows, in place of R,
+    the loss by all contacts and frictions: without impacts at most one square per period.
     """
     period, freedoms = oscillators.period[rows], 2.0 * oscillators.gap_row.shape[1]
     if oscillators.has_modes:
@@ -86,7 +86,10 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contrac
 
 
 def survival_share(relaxation: Array) -> Array:
-    """Return the share of ``survival`` for which chaos is watched without a known stable orbit."""
+    """Return the share of ``survival`` periods for which chaos is watched, if no stable orbit is known beside it.
+
+    ``relaxation`` is the number of periods in which energy falls by a factor e.
+    """
     return np.clip((relaxation / LONG_MEMORY) ** 2, MIN_SURVIVAL_SHARE, 1.0)
 
 
@@ -95,15 +98,17 @@ Property = Callable[[Rows], Mask]
 
 
 def none_of(rows: Rows) -> Mask:
-    """Return a mask without any of these cells."""
+    """Return a mask that is False for each of these cells."""
     return np.zeros(len(rows), dtype=np.bool_)
 
 
 class AdaptiveSchedule:
-    """N cells on their way through the stages. Each stage is a method that is called at the end of an interval.
+    """N cells on their way through the stages of the schedule. Each stage is a method, called at an interval's end.
+
+    Watching is simulation without tangent vectors, to see if apparent chaos lasts.
 
     stage              (N,) SEARCHING, WARMING, AVERAGING or WATCHING
-    interval           (N,) forcing periods until the next decision
+    interval           (N,) length of the next interval: forcing periods until the next decision
     transient_periods  (N,) forcing periods of the transient; NaN until estimated
     watched            (N,) forcing periods spent watching
     weighted, middle   (N,) weighted average of the last interval, and its midpoint in periods
@@ -143,14 +148,14 @@ class AdaptiveSchedule:
             ready = through[self.cells.is_active[through]]
 
     def begin(self, ready: Rows) -> None:
-        """Give each cell its next interval, or its result if no periods are left."""
+        """Begin the next interval of periods of each cell in ``ready``; write its result if no periods are left."""
         ready = outcome.end_impact_free(self.cells, ready)
         length = np.minimum(self.interval[ready], self._left(ready))
         self._end(ready[length <= 0])
         self.cells.set_interval(ready[length > 0], length[length > 0])
 
     def judge(self, through: Rows) -> None:
-        """Decide each cell in ``through``, which has reached the end of its interval."""
+        """Decide how each cell in ``through`` continues, since it has reached the end of its interval of periods."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
         stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_RETURN, NEAR_LATER)
@@ -167,13 +172,20 @@ class AdaptiveSchedule:
         self.watching(rows[stage == WATCHING])
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells proved to converge to an orbit; return the others that are not known."""
+        """Write the results of cells proved to converge to an orbit; return the cells that continue.
+
+        rows    cells at the end of an interval
+        budget  (N,) periods that may be spent on the search for orbits
+        near    (N,) distance from a former state, relative to the motion, that counts as a return
+
+        Cells whose motion is recognised end without results.
+        """
         known = self.is_known(rows)
         self.cells.is_active[rows[known]] = False
         return end_on_orbits(self.cells, rows[~known], budget, near)
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
-        """Write the results of cells proved to converge to a long orbit; return the others."""
+        """Write the results of cells proved to converge to a long orbit; return the other cells."""
         return end_on_long_orbits(self.cells, rows)
 
     def _left(self, rows: Rows) -> Rows:
@@ -188,7 +200,7 @@ class AdaptiveSchedule:
         outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
 
     def _end_at_rest(self, rows: Rows) -> None:
-        """Write the results of cells whose only mass has rested: its orbit, or an unknown period.
+        """Write the results of cells whose only mass has rested on a stop: those of an orbit, or of an unknown period.
 
         Every release starts the same motion, so every disturbance is gone at the next rest.
         """
@@ -203,7 +215,7 @@ class AdaptiveSchedule:
     # Searching
 
     def searching(self, rows: Rows) -> None:
-        """Continue the transient of these cells: some relaxation times, at least MIN_TRANSIENT periods.
+        """Continue the transient of these cells: RELAXATIONS relaxation times, at least MIN_TRANSIENT periods.
 
         During the transient the motion forgets its initial state.
         """
@@ -222,7 +234,10 @@ class AdaptiveSchedule:
         self.observe(over[~leaves])
 
     def observe(self, rows: Rows) -> None:
-        """Warm up these cells after their transients, or watch them if no exponents are requested."""
+        """Begin to carry tangent vectors along with these cells, whose transients are over.
+
+        If no exponents are requested, the cells are watched without tangent vectors.
+        """
         cells = self.cells
         if cells.vectors:
             averages.restart(cells, rows)
@@ -235,9 +250,9 @@ class AdaptiveSchedule:
     # Warming
 
     def warming(self, rows: Rows) -> None:
-        """Start an average of these cells, whose tangent vectors are aligned.
+        """Begin an average of the growth of these cells' tangent vectors, which have aligned by now.
 
-        A second average is as long as the first should have been.
+        A second average is as long as the first one should have been.
         """
         cells = self.cells
         if not len(rows):
@@ -251,17 +266,20 @@ class AdaptiveSchedule:
     # Averaging
 
     def averaging(self, rows: Rows) -> None:
-        """Judge the averaged growth of the tangent vectors of these cells.
+        """Decide how these cells go on by the averaged growth of their tangent vectors.
 
-        Clearly positive growth, known to half of the requested accuracy (in periods), is chaotic so far. Zero growth in
-        two intervals is a torus. With clearly negative growth a long orbit is sought.
+        Clearly positive growth, known to half of the requested accuracy (in periods), counts as chaotic so far. Zero
+        growth in two intervals is a torus. With clearly negative growth a long orbit is sought.
         """
         second = self.cells.previous_average.periods[rows] > 0.0
         self._judge_first(rows[~second])
         self._judge_second(rows[second])
 
     def _judge_first(self, rows: Rows) -> None:
-        """Judge the first average of these cells. Half of the budget also suffices to call a cell chaotic."""
+        """Decide how cells go on after a look at their first average: they are averaged further, end, or are watched.
+
+        A cell is called chaotic if its growth is clearly positive and accurate, or if half of the budget is spent.
+        """
         now = current_average(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
         half_spent = self.cells.periods_used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
@@ -272,7 +290,7 @@ class AdaptiveSchedule:
         self._close(rows[chaotic])
 
     def _judge_second(self, rows: Rows) -> None:
-        """Judge the second average of these cells.
+        """Decide how cells go on after a look at their second average: they are averaged further, or end.
 
         Both averages together must reach the requested accuracy unless they differ, and chaos must have survived. A
         positive exponent must be clearly positive.
@@ -290,12 +308,12 @@ class AdaptiveSchedule:
         self._restart_changed(rows[enough & changed])
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
-        """Set the next interval of an average that lacks ``missing`` periods: at most as long as the average so far."""
+        """Set the next interval of cells whose average lacks ``missing`` periods: no longer than the average so far."""
         longest = self.cells.periods_flown[rows] - self.cells.began[rows]
         self.interval[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
     def _restart_changed(self, rows: Rows) -> None:
-        """Keep only the later average of motion that has changed."""
+        """Drop the earlier average of cells whose motion has changed since then, and decide how they go on."""
         cells = self.cells
         before, now = cells.previous_average.mean[rows], current_average(cells, rows)
         averages.restart_first(cells, rows)
@@ -309,7 +327,7 @@ class AdaptiveSchedule:
         self.interval[rows[~out & ~positive]] = now.periods[~out & ~positive]
 
     def _close(self, rows: Rows) -> None:
-        """Close the average of these cells and watch them; continue with the next average if no watching is needed."""
+        """End the average of these cells and watch them; begin the next average at once if no watching is needed."""
         averages.close(self.cells, rows)
         missing = self._missing(rows)
         self.warming(rows[missing <= 0])  # the frame is unchanged
@@ -318,7 +336,7 @@ class AdaptiveSchedule:
         self._watch(rows, missing)
 
     def _find_order(self, rows: Rows) -> None:
-        """Look for tori and, with a clearly negative exponent, for long orbits."""
+        """Write the results of cells on tori and, if their exponent is clearly negative, of cells on long orbits."""
         cells, batch = self.cells, self.cells.batch
         previous, now = self.weighted[rows], batch.weighted[rows, 0] / batch.weighted[rows, 1]
         middle = cells.periods_flown[rows] - 0.5 * batch.periods[rows]
@@ -360,18 +378,24 @@ class AdaptiveSchedule:
             self._end(rows[~recurs])
 
     def _watchable(self, rows: Rows) -> Rows:
-        """Return the periods for which these cells may still be watched, less the cost of proofs in both budgets."""
+        """Return the periods for which these cells may still be watched.
+
+        They are what is left of ``survival`` and of the whole budget, which proofs of orbits use too.
+        """
         return np.minimum(self.settings.survival - self.watched[rows], self.cells.budget()[rows])
 
     def _to_watch(self, rows: Rows) -> Rows:
-        """Return the periods for which these cells are still to be watched, within ``survival``."""
+        """Return the periods for which these cells must still be watched to count as chaotic, within ``survival``."""
         part = self.part(self.transient_periods[rows] / RELAXATIONS)
         part[has_coexisting_orbit(self.cells, rows)] = 1.0
         required = (part * self.settings.survival).astype(np.int64)
         return np.minimum(required - self.cells.survived_periods(rows), self._watchable(rows))
 
     def _missing(self, rows: Rows) -> Rows:
-        """Return the periods for which these cells are to be watched before an average as long as the last one."""
+        """Return the periods for which these cells are to be watched until the last average begins.
+
+        That average is as long as the earlier one and belongs to the watch.
+        """
         return self._to_watch(rows) - self.cells.previous_average.periods[rows].astype(np.int64)
 
     def _watch(self, rows: Rows, missing: Rows) -> None:

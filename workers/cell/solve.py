@@ -1,7 +1,7 @@
-"""Computation of cells from their parameters to their results, by the adaptive schedule or the paper's fixed one.
+"""Computation of cells from parameters to results, by the adaptive schedule or that of Li & Tan (2011).
 
-Schedules are arrays with one row per cell, and each step is done for all its cells at once. The results of a cell do
-not depend on the other cells.
+A schedule decides how long each cell is simulated. Its state is arrays with one row per cell, and each step is done for
+all its cells at once. The results of a cell do not depend on the other cells.
 """
 
 import numpy as np
@@ -27,10 +27,10 @@ def solve(cells: CellBatch) -> None:
 
 
 def _solve_fixed(cells: CellBatch) -> None:
-    """Compute the results of cells by the paper's schedule: a transient, then plain averages over ``Settings.periods``.
+    """Compute the results of cells by the schedule of Li & Tan (2011): a transient, then plain averages.
 
-    The averages of a cell with a proved orbit may include earlier chaos. They are kept as ``average``; the exponents of
-    the cell are the exact ones.
+    The averages are over ``Settings.periods``. Those of a cell with a proved orbit may include earlier chaos. They are
+    kept as ``average``; the exponents of the cell are the exact ones.
     """
     settings, recurrence = cells.settings, Recurrence(len(cells.periods_used))
     cells.has_frame[:] = True

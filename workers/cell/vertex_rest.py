@@ -1,8 +1,8 @@
-"""Equilibria to which motions shrink at the end of a signal's range, such as rest at a stop or at a vertex of a law.
+"""Equilibria at the end of a signal's range, such as rest at a stop or at a corner, or vertex, of a force law.
 
-A signal is a number computed from the state, and its end is an event. Such a motion has no scale: each turn multiplies
-it by the same factor, through ever the same events. One turn gives the exponents. A motion that comes from one side,
-without events, shrinks by its slowest decay.
+A signal is a number computed from the state, and its end is an event. A motion that shrinks to such an equilibrium has
+no scale: each turn multiplies it by the same factor, through ever the same events. One turn gives the exponents. A
+motion that comes from one side, without events, shrinks by its slowest decay.
 """
 
 import math
@@ -38,10 +38,10 @@ for which it is followed."""
 
 
 class Rest(NamedTuple):
-    """An equilibrium at a vertex, where events continue forever while the motion shrinks by a factor each turn.
+    """An equilibrium at a vertex, a stop or a corner of a law, where a motion shrinks by one factor in each turn.
 
     state      (2n,) its physical state
-    number     number of a mode there
+    number     number of a mode there, a set of linear equations between two events
     exponents  (2n,) exponents of the motion per unit of time
     error      error of the exponents
     """
@@ -53,7 +53,9 @@ class Rest(NamedTuple):
 
 
 def rest_of_turns(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium at a vertex round which a cell's motion shrinks, from the first known section on.
+    """Return the equilibrium at a vertex round which a cell's motion shrinks, from its first stored state on.
+
+    A vertex is a stop, or a corner of a piecewise linear law.
 
     Return None if there is no such equilibrium.
     """
@@ -67,9 +69,10 @@ def rest_of_turns(cells: CellBatch, r: int) -> Rest | None:
 
 
 def rest_beside(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium of one mass at a vertex in which a cell's motion stands; None without one.
+    """Return the equilibrium at a vertex in which the only mass of a cell stands; None if there is none.
 
-    A motion that starts near the equilibrium must shrink round it; motion from all sides then does so.
+    A vertex is a stop, or a corner of a piecewise linear law. A motion that starts near the equilibrium must shrink
+    round it; motion from all sides then does so.
     """
     if cells.directions > 2:
         return None
@@ -80,7 +83,11 @@ def rest_beside(cells: CellBatch, r: int) -> Rest | None:
 
 
 def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | None:
-    """Return the equilibrium at a vertex round which a motion from ``state`` shrinks; None without one."""
+    """Return the equilibrium at a vertex round which a motion from ``state`` (2n,) shrinks; None if there is none.
+
+    A vertex is a stop, or a corner of a piecewise linear law. The motion of cell r is followed event by event for at
+    most ``periods`` natural periods.
+    """
     machine, (number,) = at_rows(cells.oscillators, np.array([r])), numbers_of(cells, r, state[None])
     last = deque(trails(cells, r, (state, int(number)), periods), maxlen=1)
     count, rests = len(last[0].keys) if last else 0, list[Rest]()
@@ -92,16 +99,20 @@ def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | N
 
 
 def numbers_of(cells: CellBatch, r: int, states: Array) -> NDArray[np.int64]:
-    """Return the numbers (K,) of the modes of physical states (K, 2n) of a cell."""
+    """Return the numbers (K,) of the modes that hold at physical states (K, 2n) of cell r.
+
+    A mode is a set of linear equations of motion between two events.
+    """
     table = cells.oscillators.table
     elements = at_rows(table.elements, np.array([r]))
     return np.array([mode_code_of_state(elements, z).number_of(*table.machines.segments) for z in states])
 
 
 def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium at the end of a signal to which a cell's motion converges in one mode; None without one.
+    """Return the equilibrium at a stop, or a corner of a law, to which a motion converges in one mode; else None.
 
-    The motion comes from one side, by its slowest decay.
+    A mode is a set of linear equations between two events. The motion of cell r comes from one side, by its slowest
+    decay.
     """
     sections = cells.known_states(r)
     numbers = numbers_of(cells, r, sections)
@@ -111,9 +122,10 @@ def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
 
 
 def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: int) -> Rest | None:
-    """Return the equilibrium of ``rest_without_events`` in the mode of this number; None without one.
+    """Return the equilibrium of ``rest_without_events`` in the mode of this number; None if there is none.
 
-    ``inside`` (K,) is the mask of sections in that mode.
+    sections  (K, 2n) states of the motion at sections t = k T
+    inside    (K,) mask of sections in that mode, a set of linear equations
     """
     slot, size = np.flatnonzero(machine.table.codes[0] == number), sections.shape[1]
     if not len(slot) or machine.table.pieces.lost[0, slot[0]] > 0.0:
@@ -141,23 +153,29 @@ def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: in
 
 
 def _rest_of_mode(to_physical: Array, blocks: Array) -> Array:
-    """Return the physical state (2n,) in which a mode rests, from its first blocks (n, columns)."""
+    """Return the state (2n,) in which a mode, a set of linear equations, is at rest.
+
+    ``blocks`` (n, columns) are its decoupled equations, and ``to_physical`` (2n, 2n) transforms their states.
+    """
     return np.asarray(to_physical @ blocks[:, COLUMN.rest0 : COLUMN.rest1 + 1].reshape(-1))
 
 
 def _rates(acceleration: Array) -> Array:
-    """Return the matrix (2n, 2n) of z' = A z round the rest of a mode, from its accelerations (n, 2n + 1)."""
+    """Return the matrix (2n, 2n) of z' = A z about a rest position, from its accelerations.
+
+    ``acceleration`` (n, 2n + 1) has the weights of (x, v, 1) in x''.
+    """
     n = len(acceleration)
     return np.concatenate([np.eye(n, 2 * n, n), acceleration[:, : 2 * n]])
 
 
 def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
-    """Return the equilibrium to which the motion of a trail shrinks through ever the same events; None without one.
+    """Return the equilibrium to which a motion shrinks through ever the same events; None if there is none.
 
-    ``machine`` is a single machine in a batch. If each mode of a turn is at rest in one state, and each signal of an
-    event is at its end there, then the motion round it has no scale. A factor by which one turn multiplies the motion
-    then applies to every turn. Motion along itself grows by this factor, and so does the distance; the map of the turn
-    has the other multipliers.
+    ``machine`` is a single machine in a batch, ``trail`` the events of its motion. Suppose that all linear equations,
+    or modes, of a turn are at rest in one state, and all events lie there. Then the motion round it has no scale. A
+    factor by which one turn multiplies the motion then applies to every turn. Motion along itself grows by this factor,
+    and so does the distance; the map of the turn has the other multipliers.
     """
     last, size = len(trail.keys) - 1, trail.states.shape[1]
     again = last - np.flatnonzero(trail.keys[:-1] == trail.keys[-1:])[::-1]
@@ -194,7 +212,11 @@ def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
 
 
 def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -> Array:
-    """Return the largest distance (2n,) from ``rest`` of the states at which legs begin, by component."""
+    """Return the size (2n,) of a turn's states about ``rest``, equal for all displacements and for all velocities.
+
+    It is the largest distance at the starts of ``legs``, motions in one mode each. ``length`` is the duration of the
+    turn, and ``size`` the number of components of a state.
+    """
     x, v = np.split(np.max(np.abs(legs[:, LEG_STATE : LEG_STATE + size] - rest), axis=0), 2)
     omega = 2.0 * np.pi / float(length)
     far = max(x.max(), v.max() / omega)
@@ -202,9 +224,9 @@ def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -
 
 
 def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
-    """Return the state (2n,) in which each mode of a turn rests and each event's signal is at its end, or None.
+    """Return the state (2n,) at which all modes of a turn are at rest and all its events lie; None if there is none.
 
-    ``size`` (2n,) is the size of states in the turn.
+    A mode is a set of linear equations between two events. ``size`` (2n,) is the size of states in the turn.
     """
     pieces, plan, n = motion.pieces, motion.plan.table, len(size) // 2
     events = plan[plan[:, EVENT] != NO_EVENT]
@@ -223,7 +245,10 @@ def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
 
 
 def put_rests(cells: CellBatch, rests: dict[int, Rest]) -> None:
-    """Write the results of cells that come to rest at a vertex; ``rests`` has their equilibria by row."""
+    """Write the results of cells that shrink to an equilibrium at a stop or a corner of a law.
+
+    ``rests`` has the equilibria by row.
+    """
     if not rests:
         return
     rows, orbits = np.array(list(rests), dtype=np.int64), cells.orbits
@@ -239,7 +264,7 @@ def put_rests(cells: CellBatch, rests: dict[int, Rest]) -> None:
 
 
 def is_at_equilibrium(cells: CellBatch, r: int) -> bool:
-    """Return True if nothing moves or accelerates in the present state of a cell."""
+    """Return True if nothing moves or accelerates in the present state of cell r."""
     motions, table = cells.batch.motions, cells.oscillators.table
     state = physical_states(cells.oscillators, motions, np.array([r]))[0]
     slot = np.flatnonzero(table.codes[r] == motions.mode[r, 0])

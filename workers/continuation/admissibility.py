@@ -1,6 +1,7 @@
-"""Admissibility of orbits: each leg ends at its own event and at no other.
+"""Admissibility of orbits: each leg, the motion between two events, ends at its own event and at no other.
 
-The certified crossings of the kernel decide it leg by leg, without sampling.
+The kernel finds the first event of each leg with certainty, without sampling. A signal is a number computed from the
+state, and an event occurs where a signal reaches an end of its range.
 """
 
 import math
@@ -20,16 +21,17 @@ CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
 of order. HELD: friction that would stick where it slides, or cannot stick where it does."""
 
 VERTEX = "vertex"
-"""Kind of the event at which a motion touches a vertex of a law in segments."""
+"""Kind of the event at which a motion touches a vertex, the corner between two segments of a force law."""
 
 AT_ONCE = 1e-6
-"""Share of a period by which a certified event may differ from the event of the orbit; a shorter leg has no length."""
+"""Share of a period by which the first event found by the kernel may differ from the event of the orbit. A leg, the
+motion between two events, that is shorter has no length."""
 
 HOPS = 1e-3
 """Maximum change of the load during a chatter that is replaced by rest, as a share of the load."""
 
 NEAR_TOUCH = 1e-3
-"""Share of a period about a graze within which its signal is known to turn back."""
+"""Share of a period about a graze within which the number that touches an end of its range is known to turn back."""
 
 
 class AdmissibilityFault(NamedTuple):
@@ -39,9 +41,10 @@ class AdmissibilityFault(NamedTuple):
     impact  index of the event that is lost or out of order, or at which friction sticks or slides wrongly; else -1
     time    time of the contact, NaN for other reasons
     side    end of its range that the signal reaches
-    signal  signal that reaches it
+    signal  the signal, a number computed from the state
 
-    Events of any kind count as impacts, and any signal at an end of its range as a contact.
+    An orbit is admissible if each motion between two of its events ends at its own event and at no other. Events of any
+    kind count as impacts, and any signal at an end of its range as a contact.
     """
 
     reason: str
@@ -52,7 +55,10 @@ class AdmissibilityFault(NamedTuple):
 
 
 class Graze(NamedTuple):
-    """A grazing contact: its time, the signal, and the end of its range that the signal touches at zero rate."""
+    """A grazing contact: its time, the signal, and the end of its range that the signal touches at zero rate.
+
+    A signal is a number computed from the state, such as the displacement at a contact.
+    """
 
     time: float
     signal: int
@@ -60,10 +66,11 @@ class Graze(NamedTuple):
 
 
 def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = -1) -> AdmissibilityFault | None:
-    """Return the first fault, in time, of one orbit, the only row of a batch; None if the orbit is admissible.
+    """Return the first reason, in time, why an orbit is not admissible; None if it is admissible.
 
-    ``touches`` are grazes that are allowed: signals touch ends of their ranges there and turn back. The event ``lost``
-    has zero rate; if it is an impact it counts as a graze.
+    motion   the orbit, alone in a batch
+    touches  grazes that are allowed: numbers computed from the state touch ends of their ranges there and turn back
+    lost     index of an event whose rate is zero; if it is an impact it counts as a graze
     """
     rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
     period = 2.0 * math.pi / float(motion.lin.omega[0])
@@ -79,7 +86,7 @@ def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = 
 
 
 def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
-    """Return a grazing contact with its time moved into the turn that begins with the first event.
+    """Return a grazing contact with its time moved by whole turns into the turn that begins with the first event.
 
     For a symmetric orbit, whose turn is half of it, the contact may become its mirror image.
     """
@@ -91,7 +98,7 @@ def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
 
 
 def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
-    """Return the fault of friction that turns round but would stick; None if there is no such friction."""
+    """Return the fault of friction whose sliding changes sign but which would stick there; None if there is none."""
     for event, signal, _ in motion.plan.turning:
         low, high = (float(motion.holding_margin(event, signal, side)[0]) for side in (-1, 1))
         if low > 1e-9 * (low - high) and high < -1e-9 * (low - high):
@@ -100,7 +107,7 @@ def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
 
 
 def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
-    """Return the fault of a rest in place of chatter whose hops last too long; None if there is no such rest.
+    """Return the fault of a rest that stands for chatter whose hops would last too long; None if there is none.
 
     While the hops last, the load on the stop may change by the share HOPS of itself at most.
     """
@@ -119,7 +126,11 @@ def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
 
 
 def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
-    """Return the fault of leg k if a signal is beyond its range in its mode from the beginning; else None."""
+    """Return the fault of leg k if an event is overdue already where the leg begins; else None.
+
+    A leg is the motion between two events. An event is overdue if a signal, a number computed from the state, is out of
+    its range.
+    """
     leg, mode = motion.plan.legs[k][0], motion.plan.table[k, MODE]
     signal, side = beyond_range(
         motion.pieces, 0, mode, np.array(leg.begun), motion.turn.states[0, k], _phase(motion, k), 1e-9
@@ -132,7 +143,7 @@ def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
 
 
 def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
-    """Return the phase of the force at the time ``later`` after the beginning of leg k."""
+    """Return the phase of the force at the time ``later`` after the beginning of leg k, a motion between two events."""
     machines = motion.lin
     return math.fmod(
         float(machines.tau[0]) + float(machines.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi
@@ -142,7 +153,12 @@ def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
 def _of_leg(
     motion: OrbitMotion, k: int, period: float, touches: Sequence[Graze], lost: int
 ) -> AdmissibilityFault | None:
-    """Return the first fault on leg k before the event at its end; None if there is no fault."""
+    """Return the first fault on leg k, a motion between two events, before the event at its end; None without a fault.
+
+    period   forcing period
+    touches  grazes that are allowed
+    lost     index of an event whose rate is zero
+    """
     (leg, _), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
     tolerance = AT_ONCE * period
     if end - begin <= 1e-9 * period:
@@ -175,10 +191,11 @@ def _of_leg(
 
 
 def _events_at_end(motion: OrbitMotion, k: int, tolerance: float) -> set[tuple[int, int]]:
-    """Return the signals and ends of the event at the end of leg k, and of all that follow at once.
+    """Return (signal, side) of the event at the end of leg k, and of the events that follow it within ``tolerance``.
 
-    Rounding decides the order of these events. The result is empty if the phase changes, or if the turn ends without
-    events.
+    A leg is a motion between two events; ``signal`` is the number whose event it is, ``side`` the end of its range.
+    Rounding decides the order of these events. The set is empty if the leg ends where the phase changes, or with a turn
+    without events.
     """
     legs, (lengths,) = motion.plan.legs, motion.ends - motion.begins
     if legs[k][1] == NO_EVENT and not (k + 1 == len(legs) and motion.itinerary.sides):
@@ -202,16 +219,20 @@ def _near(motion: OrbitMotion, touch: Graze, time: float, period: float) -> bool
 
 
 def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
-    """Return True if a signal comes nearer to its end before a graze, and leaves the end after it."""
+    """Return True if a signal comes nearer to its end before a graze, and moves away from this end after the graze.
+
+    A signal is a number computed from the state, with an event at each end of its range.
+    """
     times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
     _, (_, rates, _, _) = motion.states_at(times, touch.signal)
     return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
 
 
 def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
-    """Return the approximate time at which a signal beyond the end of its range turns back; None if not on this leg.
+    """Return about when a signal that is beyond the end of its range turns back; None if it does not on this leg.
 
-    The signal has been beyond its end since the fault ``reason``. A leg is the motion in one mode.
+    The signal, a number computed from the state, has been beyond its end since the fault ``reason``. A leg is the
+    motion between two events.
     """
     k = int(np.searchsorted(motion.begins[0], reason.time, side="right")) - 1
     s = np.linspace(reason.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
@@ -221,7 +242,7 @@ def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
 
 
 def name_of_touch(motion: OrbitMotion, touch: Graze) -> str:
-    """Return the name of the event at which a signal touches an end of its range."""
+    """Return the kind of the event at which a signal, a number computed from the state, touches an end of its range."""
     k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
     code = motion.plan.legs[max(k, 0)][0].code
     contact, friction = touch.signal // SIGNALS, touch.signal - SIGNALS * len(code.contacts)

@@ -1,11 +1,12 @@
 """Continuation of branches and curves past events at which the itinerary changes but the motion does not jump.
 
-The orbit of the event solves its equations on both sides of the event, but is admissible on one side only. On the other
-side, the motion from its section state passes the events of the orbit that replaces it, at times that are right to
-first order. Newton's method refines that orbit, with the conditions of the curve if there are any. Its parameters are
-those at which the times of its events differ this much from the times at the event. The orbit is sought on either side
-of the event, since a contact that is released by its force may turn a branch back. Near the graze of a soft contact the
-multipliers change with the square root of the depth, so a curve turns into the curve of grazes there.
+The itinerary is the sequence of an orbit's events. The orbit of the event solves its equations on both sides of the
+event, but is admissible on one side only. On the other side, the motion from its section state passes the events of the
+orbit that replaces it, at times that are right to first order. Newton's method refines that orbit, with the conditions
+of the curve if there are any. Its parameters are those at which the times of its events differ this much from the times
+at the event. The orbit is sought on either side of the event, since a contact that is released by its force may turn a
+branch back. Near the graze of a soft contact the multipliers change with the square root of the depth, so a curve turns
+into the curve of grazes there.
 """
 
 from collections.abc import Iterator
@@ -58,9 +59,9 @@ OFFSETS = (1e-3, 1e-4, 1e-5, 1e-6)
 """Distances from an event, as shares of the window, at which the orbit beyond is sought: another event may be near."""
 
 CURVE_OFFSETS, CURVE_DEPTH = (1e-2, 1e-3, 1e-4, 1e-5), 1e-2
-"""Distances from an event along the curve of the change, as shares of the window, and distance from that curve. The
-latter is a share of the former, or of its square if the curve has a condition on multipliers: next to a fold an orbit
-moves with the square root of the parameters."""
+"""Distances from an event along the curve on which the event occurs, as shares of the window, and distance from that
+curve. The latter is a share of the former, or of its square if the curve has a condition on multipliers: next to a fold
+an orbit moves with the square root of the parameters."""
 
 SECOND_OFFSET = 0.25
 """Share of the distance from the event at which the orbit is recorded again: shows how the times of its events change.
@@ -70,7 +71,7 @@ HALVES_TOLERANCE = 1e-2
 """Share of a turn by which the halves of a symmetric orbit may differ if it is recorded next to its own parameters."""
 
 SAME_PARAMETER, SAME_STATE = 1e-8, 1e-6
-"""Maximum difference of the parameter, in widths of the window, and of section states, relative, of equal orbits."""
+"""Maximum difference between equal orbits: of the parameter, in widths of the window, and of their states, relative."""
 
 
 def is_continuous(equations: ExtendedSystem, event: Event) -> bool:
@@ -92,16 +93,18 @@ def is_continuous(equations: ExtendedSystem, event: Event) -> bool:
 
 
 def asks_multipliers(equations: ExtendedSystem) -> bool:
-    """Return True if a condition of a curve is on multipliers."""
+    """Return True if an extended system has a condition on multipliers, as on a curve of folds."""
     return any(condition.kind in OF_MULTIPLIERS for condition in equations.conditions)
 
 
 def is_smooth(machine: HybridMachines, event: Event) -> bool:
-    """Return True if multipliers are continuous through a change of itinerary of one machine.
+    """Return True if multipliers are continuous where the sequence of an orbit's events changes.
 
-    They jump where friction begins to stick at zero rate. At the graze of a contact they are continuous only if the
-    contact is soft and has no preload. They also jump at a damped contact that is released by its force. Its damper,
-    with S = I - c M^-1 r r, acts when the contact begins and not when it ends.
+    ``machine`` is a single machine in a batch.
+
+    Multipliers jump where friction begins to stick at zero rate. At the graze of a contact they are continuous only if
+    the contact is soft and has no preload. They also jump at a damped contact that is released by its force. The damper
+    of this contact, with S = I - c M^-1 r r, acts when the contact begins and not when it ends.
     """
     if event.last not in OF_CONTACTS:
         return event.last != GRAZING_SLIDING
@@ -114,7 +117,7 @@ def is_smooth(machine: HybridMachines, event: Event) -> bool:
 class _NearbyOrbit(NamedTuple):
     """An orbit from which to look for the continuation past an event.
 
-    It is the orbit of the event, or a nearby one on the curve of the change.
+    It is the orbit of the event, or a nearby orbit on the curve in two parameters on which the event occurs.
 
     orbit   the orbit
     values  (free,) its parameters
@@ -156,7 +159,11 @@ def _beside_branch(equations: ExtendedSystem, event: Event) -> Iterator[_NearbyO
 
 
 def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Iterator[_NearbyOrbit]:
-    """Yield orbits on the curve of an event's change, with each step across that curve."""
+    """Yield nearby orbits from which to look for a curve beyond an event.
+
+    Each is an orbit on the curve of the event's change, with a step in the parameters across that curve, to either
+    side.
+    """
     values, orbit, contacts, *_ = event.point
     change = ExtendedSystem(equations.family, orbit, event.conditions[-1:], values, equations.width)
     X = change.pack(orbit, contacts[len(contacts) - change.grazes :], values)
@@ -198,7 +205,11 @@ def _at_depth(equations: ExtendedSystem, event: Event, nearby: _NearbyOrbit, bou
 
 
 def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit: Orbit, values: Array) -> float:
-    """Return the distance of the multipliers of an orbit from a condition on them; NaN if a multiplier is infinite."""
+    """Return how far the multipliers of an orbit are from a condition on them; NaN if a multiplier is infinite.
+
+    kappa   cosine of the angle of the pair, if the condition is on a pair
+    values  (free,) parameters of the orbit
+    """
     of_turn = multipliers(motion_of(equations.model(values), many_orbits([orbit])))
     if not np.all(np.isfinite(of_turn)):
         return np.nan
@@ -208,9 +219,10 @@ def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit
 
 
 def _recorded(family: Family, nearby: _NearbyOrbit, share: float, bounds: Array) -> Orbit | None:
-    """Return the orbit recorded along the motion from the section state of a nearby orbit, at a ``share`` of its step.
+    """Return the orbit found by simulation from the state of a nearby orbit at t = 0, at a ``share`` of its step.
 
-    Return None if the parameters are out of bounds, the motion cannot be followed, or the symmetry is another one.
+    Return None if the parameters are out of bounds, the motion cannot be followed, or the orbit and the nearby orbit
+    differ in symmetry.
     """
     orbit, origin = nearby.orbit, nearby.values
     values = origin + share * nearby.away
@@ -269,12 +281,12 @@ def _solved(
 
 
 def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:
-    """Return True if two itineraries have the same events and modes, from any first event on."""
+    """Return True if two orbits have the same events and linear equations between events, from any event on."""
     return bool(beginnings(one, other))
 
 
 def is_same_event(equations: ExtendedSystem, one: Event, other: Event) -> bool:
-    """Return True if two events of any kinds are at one orbit of one parameter."""
+    """Return True if two events, of equal or different kinds, are at the same orbit and the same parameters."""
     if np.any(np.abs(one.point.values - other.point.values) > SAME_PARAMETER * equations.width):
         return False
     a, b = (comparison_states(equations.model(e.point.values), many_orbits([e.point.orbit]))[0] for e in (one, other))

@@ -43,7 +43,8 @@ RESOLUTION, MAX_POINTS = 0.02, 2000
 """Longest step, as a share of the window; maximum number of points of either direction, which then ends with BUDGET."""
 
 MAX_BACK_POINTS = 200
-"""Maximum number of points for which an orbit beyond a change of itinerary is followed back to the change."""
+"""Maximum number of points for which an orbit beyond a change of its sequence of events is followed back to the change.
+"""
 
 MIN_STEP_SHARE = 1e-3
 """Shortest step, as a share of the longest, to which a step is reduced that went too far or slid onto another orbit."""
@@ -67,7 +68,8 @@ class BranchRun(NamedTuple):
     ends          how either end of the branch ends
     newton_steps  number of Newton steps
 
-    Points beyond an event at which the orbit continues with other contacts or slides have another itinerary.
+    Points beyond an event at which the orbit continues with other contacts or slides have another itinerary, or
+    sequence of events.
     """
 
     points: list[SolutionPoint]
@@ -111,9 +113,9 @@ def branch(
     """Return the branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
     The branch is followed by pseudo-arclength in state, times and the parameter. Its events are folds, symmetry
-    breakings, period doublings, Neimark-Sacker points, and changes of itinerary: grazes, lost impacts, changes of
-    stick. At a change of itinerary the branch continues with another itinerary if the motion depends continuously on
-    the parameter, else it ends.
+    breakings, period doublings, Neimark-Sacker points, and changes of the itinerary, the sequence of events: grazes,
+    lost impacts, changes of stick. At a change of itinerary the branch continues with another itinerary if the motion
+    depends continuously on the parameter, else it ends.
 
     family      machines over one free parameter
     orbit       orbit near the one to start from
@@ -173,7 +175,7 @@ def switch_branch(family: Family, event: Event, width: float, amplitude: float =
 def follow_both_ways(
     equations: ExtendedSystem, start: Array, bounds: Array, resolution: float, budget: int, until: Until | None
 ) -> BranchRun:
-    """Follow a branch or a curve in both directions from a solution, at most ``budget`` points each.
+    """Return a branch or a curve, followed in both directions from a solution for at most ``budget`` points each.
 
     equations   extended system of the branch or curve
     start       (N,) its solution to start from
@@ -205,7 +207,7 @@ def follow_both_ways(
 
 
 class _StepOutcome(NamedTuple):
-    """The result of a step.
+    """The result of one step along a branch or curve.
 
     end     how the direction ends; empty if it continues
     events  events on the step
@@ -227,10 +229,16 @@ def _one_direction(
     until: Until | None,
     goes_on: bool = True,
 ) -> BranchRun:
-    """Follow one of the two directions from a start, whose point ``first`` comes first.
+    """Return the part of a branch or curve in one direction from a start, whose point ``first`` comes first.
 
-    The end of the direction is the second of the two ends of the result. With ``goes_on`` the branch is followed
-    through continuous changes of the itinerary.
+    walk     continuation, at the start
+    first    test functions at the start
+    bounds   (2, free) bounds of the parameters
+    budget   maximum number of points
+    until    predicate: the direction ends at the first event for which it is True
+    goes_on  True to follow the branch through continuous changes of its sequence of events
+
+    The end of the direction is the second of the two ends of the result.
     """
     points, events, end, seen = [first.point], list[Event](), "", first
     begun, steps = walk, 0
@@ -254,7 +262,7 @@ def _one_direction(
 
 
 class _ContinuedWalk(NamedTuple):
-    """A branch or a curve beyond a change of itinerary.
+    """A branch or a curve beyond a change of the orbit's sequence of events.
 
     walk          continuation from there
     seen          test functions where ``walk`` starts
@@ -297,7 +305,7 @@ def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _ContinuedWal
 
 
 def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Until | None) -> _StepOutcome | None:
-    """Take the next step and return its result.
+    """Take the next step along a branch or curve, and return its result.
 
     Return None if the step went too far, or slid onto another orbit, and can be repeated with a shorter length.
     """
@@ -329,7 +337,7 @@ def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Unt
 
 
 def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcome | None:
-    """Return the outcome of a step, if its events explain the change of stability from its start to its end.
+    """Return the outcome of a step if its events explain how the number of unstable multipliers changes on it.
 
     Return None if the events do not account for all changes of stability. Two multipliers of one pair that change
     together need not change a sign.
@@ -356,18 +364,18 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
 
 
 def _corner(step: ContinuationStep) -> _StepOutcome:
-    """Return the outcome of a step on which a branch ends.
+    """Return the outcome of a step at the start of which a branch ends, since no step from there converges.
 
-    An event of the orbit is lost there; if none is found, the end is STALLED.
+    An event of the orbit is lost there; if no such event is found, the end is STALLED.
     """
     met = nearly_lost(step)
     return _StepOutcome(STALLED) if met is None else _StepOutcome(met.event.kind, (met.event,), (met.event.point,))
 
 
 def _meeting(step: ContinuationStep) -> _StepOutcome | None:
-    """Return the outcome of a step on which a branch closes at the orbit from which it came.
+    """Return the outcome of a step on which a branch ends where it had left another one, at a doubled orbit.
 
-    Return None if the branch does not meet that orbit on the step.
+    The other orbit is of half the length, or symmetric. Return None if the branch does not reach it on the step.
     """
     to = halves_met(step)
     if to is None:

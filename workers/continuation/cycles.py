@@ -26,7 +26,7 @@ FARTHEST = 0.5
 
 
 class LimitCycle(NamedTuple):
-    """A limit cycle.
+    """A limit cycle of one machine without a force, with its stability.
 
     motion  its motion
     period  its period

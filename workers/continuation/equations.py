@@ -15,22 +15,25 @@ from workers.model.oscillator import Array, Mask
 
 
 def check_orbits(machines: OrbitMachines, itinerary: Itinerary) -> None:
-    """Raise ValueError, in one line, if the equations of the itinerary hold for no machine: see ``admit``."""
+    """Raise ValueError, in one line, if none of the machines can have an orbit with this sequence of events.
+
+    See ``admit``.
+    """
     for wrong, why in _faults(machines, itinerary):
         if np.all(wrong):
             raise ValueError(why)
 
 
 def admit(machines: OrbitMachines, itinerary: Itinerary) -> Mask:
-    """Return the mask (N,) of machines for which the equations hold.
+    """Return the mask (N,) of machines that can have an orbit with this itinerary, its sequence of events.
 
-    They do not hold for false symmetry, rebounds with R = 0, and missing stops.
+    They cannot if the orbit would be falsely symmetric, rebound with R = 0, or hit a stop that does not exist.
     """
     return ~np.any([np.broadcast_to(wrong, machines.omega.shape) for wrong, _ in _faults(machines, itinerary)], axis=0)
 
 
 def _faults(machines: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
-    """Yield masks (N,) of machines for which the equations do not hold, each with its reason."""
+    """Yield masks (N,) of machines that cannot have an orbit with this sequence of events, each with the reason."""
     unknown = itinerary.periods < (0 if itinerary.sides else 1)
     unknown |= not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides)
     yield np.array(unknown), f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1"
@@ -55,7 +58,7 @@ def _faults(machines: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mas
 
 
 def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) -> OrbitMachines:
-    """Return machines without a force with frequencies at which turns of this itinerary have these lengths (N,).
+    """Return machines without a force with frequencies at which one turn of an orbit has these lengths (N,).
 
     Nothing else in the machines depends on the frequency.
     """
@@ -63,7 +66,10 @@ def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) ->
 
 
 def motion_of_unknowns(machines: OrbitMachines, itinerary: Itinerary, X: Array) -> OrbitMotion:
-    """Return the motions of unknowns X (N, ...), of which states and times come first; see ``Orbit.unknown_times``."""
+    """Return the motions of N orbits with this sequence of events from the unknowns X (N, ...) of their equations.
+
+    The states come first in X, then the times of events, see ``Orbit.unknown_times``.
+    """
     size = machines.dimension
     start, times = np.split(X[:, : size + len(itinerary.sides)], [size], axis=1)
     if itinerary.is_cycle:

@@ -1,6 +1,7 @@
 """Equilibria of machines without a force along a parameter, in closed form, and their Hopf points.
 
-In its mode the flow is linear, x'' = A x + B x' + a, and sticking rigid contacts are at their stops, G x = s:
+A mode is a set of linear equations that holds between two events. In the mode of an equilibrium x'' = A x + B x' + a,
+and sticking rigid contacts are at their stops, G x = s:
 
     [A; G] x = [-a; s],  x' = 0;    exponents: the eigenvalues of [[0, 1], [A, B]] where G x = G x' = 0
 
@@ -27,14 +28,14 @@ from workers.orbit.recorded_legs import mode_code_of_state
 
 HOPF, FOLD, BORDER = "hopf", "fold", "border"
 """Kinds of events. HOPF: a pair of exponents crosses the imaginary axis. FOLD: one exponent crosses 0. BORDER: the
-equilibrium ends, since contacts or friction have no mode in which it continues."""
+equilibrium ends, since contacts or friction have no state in which it continues."""
 
 OF_EQUILIBRIA = HOPF, FOLD, BORDER
 
 HELD = "found one of a continuum of equilibria at which friction sticks, must be an isolated equilibrium"
 
 MAX_MODES = 200
-"""Maximum number of modes that are tried for an equilibrium."""
+"""Maximum number of modes, sets of linear equations, that are tried for an equilibrium."""
 
 HALVINGS = 60
 """Number of halvings of a step that locate an event to rounding."""
@@ -44,7 +45,7 @@ class Equilibrium(NamedTuple):
     """An equilibrium of a machine.
 
     values     (free,) parameters
-    code       mode of the equilibrium
+    code       mode of the equilibrium, the set of linear equations that holds there
     state      (2n,) its state
     exponents  exponents per unit of time, fastest growth first
     omega      frequency of the machine's natural period
@@ -58,7 +59,7 @@ class Equilibrium(NamedTuple):
 
     @property
     def unstable(self) -> int:
-        """Number of exponents that grow."""
+        """Number of exponents with a positive real part, above rounding: directions in which disturbances grow."""
         return int(np.sum(self.exponents.real > ZERO_SHARE * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> SolutionPoint:
@@ -72,7 +73,11 @@ class Equilibrium(NamedTuple):
 
 
 class EquilibriumBranch(NamedTuple):
-    """A branch of equilibria: ``run`` as of any other branch, and the ``states`` (N, 2n) of its points."""
+    """A branch of equilibria.
+
+    run     the branch, its events and its ends, as of any other branch
+    states  (N, 2n) states of its points
+    """
 
     run: BranchRun
     states: Array
@@ -95,7 +100,7 @@ def is_equilibrium(orbit: Orbit, system: System) -> bool:
 
 
 def code_of(orbit: Orbit) -> ModeCode:
-    """Return the mode of an equilibrium."""
+    """Return the mode of an equilibrium, the set of linear equations that holds there, from its orbit."""
     return orbit.itinerary.chains[0][0].code
 
 
@@ -105,9 +110,10 @@ def _orbit(code: ModeCode) -> Orbit:
 
 
 def equilibrium_near(family: Family, values: Array, code: ModeCode) -> Equilibrium | None:
-    """Return the equilibrium at parameters (free,), in the given mode or in a mode that leads on from it.
+    """Return the equilibrium at parameters (free,), in the mode ``code`` or in a mode that leads on from it.
 
-    Return None if there is no equilibrium without friction that sticks or turns round.
+    A mode is a set of linear equations between two events. Return None if there is no equilibrium without friction that
+    sticks or turns round.
     """
     lin = family.model(values[None])
     elements, tried, signs = lin.elements, set[ModeCode](), np.sign(code.slips)
@@ -143,10 +149,15 @@ def equilibrium_near(family: Family, values: Array, code: ModeCode) -> Equilibri
 
 
 def _mode_at(code: ModeCode, seen: ModeCode, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> ModeCode:
-    """Return the mode of an equilibrium that was solved in the mode ``code``.
+    """Return the mode that holds at an equilibrium, which was solved in the mode ``code``.
 
-    Laws decide the segments. A rigid contact sticks if its displacement is beyond its stop, and opens if it would have
-    to pull.
+    code     mode, a set of linear equations, in which the equilibrium was solved
+    seen     mode in which the segments of laws are those of the equilibrium's state
+    rigid    (C,) mask of rigid contacts
+    signals  (G,) numbers computed from the state, such as displacements at contacts and forces on stops
+    ends     (G, 2) ranges of the signals in the mode ``code``
+
+    A rigid contact sticks if its displacement is beyond its stop, and opens if it would have to pull.
     """
     contacts = list(seen.contacts)
     for c in np.flatnonzero(rigid).tolist():
@@ -196,7 +207,10 @@ def equilibria(
 
 
 def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, SolutionPoint, str]]:
-    """Yield the equilibria along ``values``, with their solution points and the kinds of their events."""
+    """Yield (equilibrium, solution point, kind of event) along parameters ``values``, after the equilibrium ``first``.
+
+    The kind is empty if there is no event.
+    """
     current = first
     for value in values.tolist():
         candidate = equilibrium_near(family, np.array([value]), current.code)
@@ -216,7 +230,14 @@ def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tupl
 def _halved(
     family: Family, near: Equilibrium, far: Equilibrium | None, value: float
 ) -> tuple[Equilibrium, Equilibrium | None]:
-    """Return the last equilibrium before the first change of stability on a step, and the next one, None if it ends."""
+    """Return the last equilibrium before the first change of stability on a step, and the equilibrium after it.
+
+    near   equilibrium at the start of the step
+    far    equilibrium at its end, None if there is none
+    value  parameter at its end
+
+    The second result is None if the equilibrium ends there.
+    """
     for _ in range(HALVINGS):
         middle = 0.5 * (near.values + value)
         if middle[0] in (near.values[0], value):
@@ -230,7 +251,11 @@ def _halved(
 
 
 def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> SolutionPoint:
-    """Return the solution point of an event. At a Hopf point its orbit has the length of the cycle beginning there."""
+    """Return the solution point of an event of an equilibrium, with ``unstable`` growing exponents.
+
+    ``frequency`` is that of a Hopf point, 0 for other events. The orbit of a Hopf point has the length of the limit
+    cycle that begins there.
+    """
     point = equilibrium.point(unstable)
     if not frequency:
         return point

@@ -1,6 +1,6 @@
 """Orbits with one event fewer, after that event has been lost along a branch.
 
-A leg is the motion in one mode between two events; its signals are the distances that decide events.
+A leg is the motion in one mode between two events. Signals are numbers computed from the state that decide events.
 """
 
 import math
@@ -23,10 +23,11 @@ def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
 
 
 def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, float] | None:
-    """Return the orbit without an event, and without others at the same time if its mode returns only after them.
+    """Return an orbit without one of its events, and without others at the same time if need be.
 
-    Also return the leg that began with the event, whose signal grazes instead, and the time of the graze. Return None
-    if the remaining events are no orbit.
+    Others are dropped if only after them the linear equations of motion are again those before the event. Also return
+    the leg (motion between two events) that began with the event, which becomes a graze, and the time of the graze.
+    Return None if the remaining events are no orbit. ``span`` is the length of a turn.
     """
     m, choices = len(orbit.itinerary.sides), []
     for count in range(1, min(LOST_AT_ONCE, m) + 1):
@@ -52,12 +53,15 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
 
 
 def _before(orbit: Orbit, event: int) -> tuple[Leg, ...]:
-    """Return the legs that end at an event."""
+    """Return the legs, motions between events or changes of phase, from the event before ``event`` to ``event``."""
     return orbit.itinerary.legs[event - 1] if event else orbit.itinerary.legs_after(0, orbit.itinerary.sign)[-1]
 
 
 def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
-    """Return the orbit without some events; ``before`` are the legs that end at the first of these."""
+    """Return the orbit without the events in the slice ``lost``.
+
+    ``before`` are the legs, motions between events or changes of phase, that end at the first of these events.
+    """
     sides, periods, symmetric, legs = orbit.itinerary
     remaining = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
     chain = before + legs[lost][-1][1:]
@@ -69,7 +73,7 @@ def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
 def _of_phases(chain: tuple[Leg, ...]) -> tuple[Leg, ...]:
     """Return the legs of a turn without events, which begins with the machine's first phase.
 
-    A leg is the motion in one mode; here it ends where the phase changes.
+    A leg is here the motion from one change of phase to the next.
     """
     first = next((k for k, leg in enumerate(chain) if leg.code.phase == 0), 0)
     turn = (chain[first:] + chain[:first])[: max(1, len(chain) - 1)]

@@ -104,7 +104,7 @@ class MonitoredPoint(NamedTuple):
 
 
 def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]:
-    """Return the solution point of unknowns X (N,), and the finite multipliers not fixed by the conditions."""
+    """Return the solution point at unknowns X (N,), and its finite multipliers that no condition fixes."""
     mu = multipliers(equations.motion(X))[0]
     others = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
@@ -118,7 +118,10 @@ def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]
 
 
 def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
-    """Return the test functions at unknowns X (N,) that solve the equations, which are bordered at X first."""
+    """Return the solution point at unknowns X (N,) with its test functions, numbers that change sign at events.
+
+    The equations, which X solves, are bordered at X first.
+    """
     equations = equations.rebordered(X)
     (point, others), motion, conditions = _point(equations, X), equations.motion(X), equations.conditions
     kind = conditions[0].kind if conditions else None
@@ -144,9 +147,9 @@ def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
 
 
 def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
-    """Return why the orbit at unknowns X (N,) is not admissible; None if it is.
+    """Return why the orbit at unknowns X (N,) is not admissible; None if it is admissible.
 
-    Its own grazes and lost impacts are allowed.
+    The grazes and the lost impact that the conditions of ``equations`` demand are allowed.
     """
     if not equations.family.certified:
         return None
@@ -155,13 +158,13 @@ def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
 
 
 def touches(equations: ExtendedSystem, X: Array) -> list[Graze]:
-    """Return the grazes of a solution X (N,)."""
+    """Return the grazing contacts of a solution X (N,) that are conditions of its equations."""
     grazes = (condition for condition in equations.conditions if condition.kind == GRAZE)
     return [Graze(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), grazes, strict=True)]
 
 
 def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
-    """Return the name of an event with these conditions, one or two."""
+    """Return the name of an event whose orbit, symmetric or not, meets these conditions, one or two."""
     kinds = [condition.kind for condition in conditions]
     if ANGLE in kinds:
         return ANGLES[conditions[kinds.index(ANGLE)].kappa]
@@ -221,7 +224,7 @@ class Event(NamedTuple):
 
 
 class LocatedEvent(NamedTuple):
-    """An event and the ``share`` of the step at which it lies."""
+    """An event, and the share of a continuation step, from 0 to 1, at which it lies."""
 
     share: float
     event: Event
@@ -237,8 +240,8 @@ def locate_event(
 ) -> LocatedEvent | None:
     """Return the event at which the test function ``name`` changed its sign.
 
-    Return None at a pole, and at a real pair of product 1. With ``exists`` the orbit of the event must be admissible,
-    since orbits cease on the step.
+    Return None if no event lies there: at a pole of the function, and at a real pair of multipliers of product 1. With
+    ``exists`` the orbit of the event must be admissible, since orbits cease on the step.
     """
     a, b = before.functions[name], after.functions[name]
     low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
@@ -259,8 +262,8 @@ def locate_event(
 def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
     """Return the symmetry breaking or period doubling at which a branch becomes an orbit of half the turn.
 
-    ``to`` is the itinerary of that orbit. The search also works on a curve of grazes. Return None on other curves, and
-    if the event is not found.
+    ``to`` is the itinerary, the sequence of events, of that orbit. The search also works on a curve of grazes. Return
+    None on other curves, and if the event is not found.
     """
     eq = step.equations
     grazes = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
@@ -273,10 +276,10 @@ def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
 
 
 def halves_met(step: ContinuationStep) -> Itinerary | None:
-    """Return the itinerary, the sequence of events, of an orbit of half the length that a step passes.
+    """Return the itinerary of an orbit of half the length that a step passes; None if there is no such orbit.
 
-    Both halves of the turn exchange their roles there. If no step converged, so that both ends of the step are equal,
-    return the itinerary of the nearest such orbit. Return None if there is no such orbit.
+    An itinerary is the sequence of an orbit's events. Both halves of the turn exchange their roles there. If no step
+    converged, so that both ends of the step are equal, return the itinerary of the nearest such orbit.
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:
@@ -345,7 +348,7 @@ def solution(
 
 
 def event_of(square: ExtendedSystem, X: Array) -> Event:
-    """Return the event at unknowns X (N,) of a square system."""
+    """Return the event that a solution X (N,) of a square extended system describes."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
     conditions, symmetric, motion = square.conditions, square.itinerary.symmetric, square.motion(X)
     last = name_of(conditions[-1:], symmetric)

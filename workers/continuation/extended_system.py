@@ -35,7 +35,8 @@ FOLLOWS = 4.0
 from which the state follows."""
 
 REMEMBERED = 8
-"""Maximum number of machines, and of motions, in the cache: several properties of one point are computed in turn."""
+"""Maximum number of machines, and of motions, that an extended system caches: several properties of one solution point
+are computed in turn."""
 
 SAME_EVENT = 1e-2
 """Share of a turn within which an event of an orbit is identified with an event of another orbit with additional
@@ -45,20 +46,20 @@ UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS, MEETS = (
     "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends", "meets",
 )  # fmt: skip
 """Conditions. UNIT: a multiplier is 1. MINUS_ONE: a multiplier is -1. PAIR: a pair has product 1. ANGLE: a pair has sum
-2 kappa. GRAZE: y = stop and y' = 0 at a contact time, or another signal touches an end of its range. SPEED: v_i = 0.
-CUSP: a fold without curvature. ONSET: the force that would hold friction where it turns round is at its static level.
-ENDS: the force that holds friction where it begins to stick is at its static level. MEETS: another signal reaches an
-end of its range at an event."""
+2 kappa. GRAZE: y = stop and y' = 0 at a contact time, or another signal (number computed from the state) touches an end
+of its range. SPEED: an event is reached at zero rate. CUSP: a fold without curvature. ONSET: the force that would hold
+friction where it turns round is at its static level. ENDS: the force that holds friction where it begins to stick is at
+its static level. MEETS: another signal reaches an end of its range at an event."""
 
 
 class Condition(NamedTuple):
     """One condition on an orbit.
 
-    kind    one of the conditions above
+    kind    UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS or MEETS
     side    side of a graze, or end of the range that is reached
     impact  index of the event
-    kappa   kappa of an angle
-    signal  signal that grazes an end of its range, or that is at an end at an event
+    kappa   cosine of the angle of a pair of multipliers on the unit circle
+    signal  signal (number computed from the state) that grazes an end of its range, or is at an end at an event
     """
 
     kind: str
@@ -71,7 +72,7 @@ class Condition(NamedTuple):
 def conditions_on(
     orbit: Orbit, conditions: tuple[Condition, ...], former: Orbit, span: float
 ) -> tuple[Condition, ...] | None:
-    """Translate conditions on the orbit ``former`` to ``orbit``, which has other events at about the same times.
+    """Return conditions on the orbit ``former`` as conditions on ``orbit``, whose events are at about these times.
 
     ``span`` is the length of a turn. Return None if the event of a condition is gone.
     """
@@ -116,7 +117,7 @@ def _apart(orbit: Orbit, former: Orbit, span: float, later: float) -> tuple[Arra
 
 
 class ExtendedSystem:
-    """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
+    """The equations of orbits with one sequence of events and conditions, over the free parameters of a family.
 
     scale   (unknowns,) scale that makes unknowns comparable
     unit    (2n + m,) scale of the residuals of the orbit
@@ -153,7 +154,7 @@ class ExtendedSystem:
         self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
 
     def model(self, values: Array) -> OrbitMachines:
-        """Return the machine at parameters (free,), as the only row of a batch."""
+        """Return the machine at parameters (free,), alone in a batch."""
         return self._model(*values.tolist())
 
     def pack(self, orbit: Orbit, contacts: Array, values: Array) -> Array:
@@ -170,7 +171,7 @@ class ExtendedSystem:
         return X[..., X.shape[-1] - self.free :]
 
     def motion(self, X: Array) -> OrbitMotion:
-        """Return the motion of unknowns (N,), as the only row of a batch: machine, itinerary, event times and start."""
+        """Return the motion of the orbit at unknowns (N,), alone in a batch."""
         return self._motion(*X.tolist())
 
     def orbit(self, X: Array) -> Orbit:
@@ -178,11 +179,11 @@ class ExtendedSystem:
         return self.motion(X).orbits.at_rows(0)
 
     def residual(self, X: Array, _: Rows | None = None) -> Array:
-        """Return all equations (1, equations) at unknowns (1, N), exactly."""
+        """Return the residuals (1, equations) of all equations at unknowns (1, N), without differences."""
         return self._all(X, self.motion(X[0]))
 
     def with_jacobian(self, X: Array, _: Rows | None = None) -> tuple[Array, Array]:
-        """Return all equations (1, equations) and their derivatives (1, equations, N) at unknowns (1, N)."""
+        """Return the residuals (1, equations) at unknowns (1, N), and their derivatives (1, equations, N)."""
         N = X.shape[1]
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
@@ -204,9 +205,10 @@ class ExtendedSystem:
         return base, J[None]
 
     def rebordered(self, X: Array) -> "ExtendedSystem":
-        """Return the same equations, bordered with null vectors at X (N,) in the directions of the former ones.
+        """Return these equations with new borders: null vectors at X (N,), in the directions of the former ones.
 
-        The sum of the pair of a condition PAIR is taken at X, too.
+        Borders make the singular matrix of a condition on a multiplier regular. The sum of the pair of a condition PAIR
+        is taken at X, too.
         """
         renewed, motion = copy(self), self.motion(X)
         renewed.borders, renewed.totals = list(self.borders), list(self.totals)
@@ -221,7 +223,7 @@ class ExtendedSystem:
         return renewed
 
     def _all(self, X: Array, motion: OrbitMotion) -> Array:
-        """Return all equations (B, equations) at unknowns (B, N), whose motions are given."""
+        """Return the residuals (B, equations) of all equations at unknowns (B, N), whose motions are given."""
         contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
@@ -241,11 +243,12 @@ class ExtendedSystem:
         return np.concatenate(parts, axis=1)
 
     def _bordered_matrix(self, condition: Condition, motion: OrbitMotion) -> Array:
-        """Return the matrix of a condition on a multiplier, in units of the unknowns, to be bordered.
+        """Return the matrix (B, M, M) that is singular if a multiplier is z = 1 or -1, in units of the unknowns.
 
-        If all events are impacts, the matrix is J_z, which has no poles where an impact has zero speed. Otherwise it is
-        DP - z: J_z is nearly singular for any multipliers if a soft contact is hardly touched, and DP is not. The
-        matrix of a cycle is always J_z, since DP of a cycle always has the multiplier 1 and J_1 does not.
+        If all events are impacts, the matrix is J_z, see ``OrbitMotion.linearised``, which has no poles where an impact
+        has zero speed. Otherwise it is DP - z, with DP the map of a turn. J_z is nearly singular for any multipliers if
+        a soft contact is hardly touched, and DP is not. The matrix of a cycle is always J_z, since DP of a cycle always
+        has the multiplier 1 and J_1 does not.
         """
         z = 1.0 if condition.kind == UNIT else -1.0
         if motion.plan.impacts or motion.itinerary.is_cycle:
@@ -254,14 +257,14 @@ class ExtendedSystem:
         return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
 
     def critical(self, X: Array) -> Array:
-        """Return the direction (states,) of a disturbance whose multiplier is that of the first condition.
+        """Return the direction (states,) of the disturbance whose multiplier the first condition fixes.
 
-        The disturbance, one of state and times at unknowns X (N,), is in units of the scale.
+        It is a disturbance of state and times at unknowns X (N,), in units of the scale.
         """
         return self._of_unknowns(self.motion(X), self.rebordered(X).borders[0][1][None])[0]
 
     def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
-        """Return the direction (B, states) of a null vector of ``_bordered_matrix``, in units of the scale."""
+        """Return null vectors of ``_bordered_matrix`` as directions (B, states) of state and times, in scale units."""
         if motion.plan.impacts or motion.itinerary.is_cycle:
             return along
         size = self.scale[: motion.start.shape[1]]
@@ -269,9 +272,10 @@ class ExtendedSystem:
         return np.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
     def _solved(self, i: int, motion: OrbitMotion) -> Array:
-        """Return (w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1).
+        """Return the solutions (w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1), the bordered matrix.
 
-        g vanishes where J_z is singular, along w.
+        J_z is the matrix of condition i, see ``_bordered_matrix``. It is singular where g vanishes, with the null
+        vector w.
         """
         J = self._bordered_matrix(self.conditions[i], motion)
         size = J.shape[1]
@@ -282,7 +286,10 @@ class ExtendedSystem:
         return np.asarray(apply_stacked(np.linalg.solve, right.shape, matrix, right)[..., 0])
 
     def curvature(self, motion: OrbitMotion) -> Array:
-        """Return the derivative (B,) of a fold's g along its null vector: zero if the fold is a cusp."""
+        """Return the derivative (B,) of the number g of a fold, see ``_solved``, along the null vector of the fold.
+
+        It is zero if the fold is a cusp.
+        """
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
         along = self._of_unknowns(motion, self._solved(fold, motion)[:, :-1]) * self.scale[: self.states]
         ends = (motion.unknowns + sign * CURVED * along for sign in (1.0, -1.0))
@@ -293,8 +300,8 @@ class ExtendedSystem:
 def solve(equations: ExtendedSystem, X: Array, row: Array | None = None) -> NewtonResult:
     """Return the result of Newton's method from unknowns X (N,).
 
-    ``row`` (N,) is a direction in which nothing changes; it is needed if there is one unknown more than equations. The
-    result has not converged if ``newton`` fails or if there is no oscillator at the parameters.
+    ``row`` (N,) has the weights of a sum of the unknowns that stays constant; it is needed if there is one unknown more
+    than equations. The result has not converged if ``newton`` fails or if there is no oscillator at the parameters.
     """
     try:
         forced = equations.motion(X).forced_sizes

@@ -1,6 +1,7 @@
 """Families of machines over free parameters.
 
-Each field has an axis of N machines in front, since a step of Newton's method needs several machines at once.
+Each field of a machine has an axis of N machines in front, since a step of Newton's method needs several machines at
+once.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +20,7 @@ class Family(NamedTuple):
 
     free       names of the free parameters
     model      function from parameters (N, free) to the N machines
-    certified  True if orbits must be admissible, by certified crossings of the guards
+    certified  True if orbits must be admissible: no other event may occur between their events
     """
 
     free: tuple[str, ...]
@@ -54,7 +55,7 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
 
 
 def machine_of(system: System, values: Mapping[str, float]) -> OrbitMachines:
-    """Return the machine at these parameters as the only row of a batch. Raise errors as ``family_of``."""
+    """Return the machine at these parameters, alone in a batch. Raise errors as ``family_of``."""
     return family_of(system, values, ()).model(np.zeros((1, 0)))
 
 

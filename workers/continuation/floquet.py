@@ -1,4 +1,4 @@
-"""Stability of an orbit: the multipliers of the map of one turn."""
+"""Stability of a periodic orbit: its Floquet multipliers, the eigenvalues of the map of one turn."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,9 @@ from workers.model.oscillator import Array, take_one
 
 
 def multipliers(motion: OrbitMotion) -> NDArray[np.complex128]:
-    """Return the multipliers (N, 2n) of a turn, the largest modulus first; for symmetric orbits those of D_G.
+    """Return the Floquet multipliers (N, 2n) of a turn, the largest modulus first.
+
+    A turn of a symmetric orbit is half of it, followed by mirroring.
 
     They are infinite if an impact has zero speed, and exactly 0 in lost directions. For a cycle return all (N, 2n - 1)
     but the 1 along it.
@@ -40,7 +42,7 @@ def _across(motion: OrbitMotion) -> Array:
 
 
 def _along(motion: OrbitMotion) -> Array:
-    """Return the direction f (N, 2n) of the motion of cycles just before their first event."""
+    """Return the direction f (N, 2n) of the motion of cycles in state space, just before their first event."""
     mode, f = motion.plan.reached[0, MODE], np.empty_like(motion.start)
     for r, start in enumerate(motion.start):
         right_hand_side(take_one(motion.pieces, r), mode, start, harmonics_at(0.0, motion.pieces.waves.shape[3]), f[r])
@@ -48,9 +50,10 @@ def _along(motion: OrbitMotion) -> Array:
 
 
 def error_along(motion: OrbitMotion) -> Array:
-    """Return the deviation (N,) of the image of f under the map of a turn of cycles from f itself, relative to f.
+    """Return the error (N,) of the multiplier 1 along cycles: how far the map of a turn moves f, relative to f.
 
-    The multiplier along f is exactly 1, so that this is an error of the other multipliers as well.
+    The direction f of the motion is its own image in exact arithmetic. The result is an error of the other multipliers
+    as well.
     """
     f = _along(motion)
     missed = (motion.turn.maps @ f[..., None])[..., 0] - f

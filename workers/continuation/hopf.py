@@ -28,7 +28,7 @@ from workers.model.oscillator import Array
 
 ANGLES = 24
 STEP = 2.0 * math.pi / ANGLES
-"""Angle between the points of a circle at which the equilibrium is solved before a crossing is located by halving."""
+"""Angle between the points on a circle at which the stability is examined, before a crossing is located by halving."""
 
 SHARP = 1e-13
 """Angle at which the halving of a crossing ends."""
@@ -55,10 +55,10 @@ def hopf_curve(
     resolution  length of a step, as a share of the window
     budget      maximum number of points of either direction
 
-    Orbits of its points have the length of the cycle that begins there. The curve ends at the edge of the window, where
-    it closes, or after ``budget`` points per direction. It also ends where a real exponent crosses 0 instead ("fold"),
-    and where the equilibrium ends ("inadmissible"). Raise ValueError if the stability changes nowhere around
-    ``values``.
+    The orbits of the curve's points have the length of the limit cycle that begins there. The curve ends at the edge of
+    the window, where it closes, or after ``budget`` points per direction. It also ends where a real exponent crosses 0
+    instead ("fold"), and where the equilibrium ends ("inadmissible"). Raise ValueError if the stability changes nowhere
+    around ``values``.
     """
     walk = _HopfCurveWalk(family, orbit, bounds_of(family.free, window), resolution)
     angles = walk.begin(np.asarray(values, dtype=np.float64))
@@ -70,7 +70,7 @@ def hopf_curve(
 
 
 class _HopfCurveWalk:
-    """A walk along a curve of Hopf points, with coordinates in units of the window; ``first`` is its first point."""
+    """A walk along a curve of Hopf points, with parameters in units of the window; ``first`` is its first point."""
 
     def __init__(self, family: Family, orbit: Orbit, bounds: Array, length: float) -> None:
         self.family, self.code, self.length = family, code_of(orbit), length
@@ -96,7 +96,10 @@ class _HopfCurveWalk:
         return angles
 
     def along(self, angle: float, budget: int) -> tuple[list[SolutionPoint], str]:
-        """Return the points of one direction, and why it ends."""
+        """Return the points of the curve in one direction, at most ``budget``, and why the direction ends.
+
+        ``angle`` is the direction in which the curve leaves its first point.
+        """
         center, points = self.start, list[SolutionPoint]()
         while len(points) < budget:
             next_center = center + self.length * np.array([math.cos(angle), math.sin(angle)])
@@ -128,7 +131,7 @@ class _HopfCurveWalk:
         return [STEP * (k + 0.5) for k in range(ANGLES)]
 
     def _crossings(self, center: Array) -> list[float]:
-        """Return the angles at which the curve crosses the circle about a center (2,)."""
+        """Return the angles at which the curve crosses the circle about a center (2,), whose radius is a step."""
         angles = self._circle()
         stable = [self._is_stable(self._seen(center, angle)) for angle in angles]
         return [
@@ -138,9 +141,9 @@ class _HopfCurveWalk:
         ]
 
     def _onward(self, center: Array, angle: float) -> float | None:
-        """Return the angle of the next crossing, the one nearest to ``angle``; None if the curve would turn back.
+        """Return the angle of the curve's next point, seen from ``center`` (2,); None if the curve would turn back.
 
-        The crossing is a point where the curve crosses the circle about ``center`` (2,).
+        The point is where the curve crosses the circle about the center, nearest to the direction ``angle``.
         """
         ends = [angle - 0.5 * STEP, angle + 0.5 * STEP]
         stable = [self._is_stable(self._seen(center, end)) for end in ends]
@@ -155,9 +158,10 @@ class _HopfCurveWalk:
         return None
 
     def _crossing(self, center: Array, low: float, stable: bool, high: float) -> float:
-        """Return the angle of the crossing between two angles, to rounding.
+        """Return the angle, to rounding, at which the curve crosses the circle about ``center`` (2,).
 
-        ``stable`` is the stability at the first angle.
+        low, high  angles between which it crosses
+        stable     True if the equilibrium is stable at ``low``
         """
         while abs(high - low) > SHARP:
             middle = 0.5 * (low + high)
@@ -168,7 +172,10 @@ class _HopfCurveWalk:
         return high
 
     def _point(self, center: Array, angle: float) -> SolutionPoint | None:
-        """Return the point of the curve at a crossing; None if no pair of exponents crosses the imaginary axis."""
+        """Return the point of the curve in the direction ``angle`` from ``center`` (2,).
+
+        Return None if no pair of exponents crosses the imaginary axis there.
+        """
         neighbours = [self._seen(center, angle + sign * 1e-9) for sign in (-1.0, 1.0)]
         return self._between(neighbours, center + self.length * np.array([math.cos(angle), math.sin(angle)]))
 
@@ -183,7 +190,7 @@ class _HopfCurveWalk:
         return point_of_event(seen[0], self.least, frequency)._replace(values=self.low + position * self.width)
 
     def _at_edge(self, start: Array, end: Array) -> SolutionPoint | None:
-        """Return the point at which the curve leaves the window between two points; None if it is not found."""
+        """Return the point at which the curve leaves the window between two positions (2,); None if it is not found."""
         axis = int(np.argmax(np.maximum(-end, end - 1.0)))
         edge, other = float(np.clip(end[axis], 0.0, 1.0)), 1 - axis
         share = (edge - start[axis]) / (end[axis] - start[axis])

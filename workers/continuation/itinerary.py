@@ -1,4 +1,7 @@
-"""Itineraries: the events of an orbit in order, its length and its modes, which stay fixed along a branch."""
+"""Itineraries: the events of an orbit in order, its length, and the linear equations, or modes, between its events.
+
+An itinerary stays fixed along a branch.
+"""
 
 import math
 from collections import Counter
@@ -17,7 +20,10 @@ HIT, MOVES, SLIDES, STICKS = range(4)
 
 
 def mirror_sign(signal: int, contacts: int) -> int:
-    """Return the factor of a signal under mirroring: -1, but 1 for the pushes of soft contacts."""
+    """Return the factor of a signal under mirroring: -1, but 1 for the pushing forces of soft contacts.
+
+    A signal is a number computed from the state. ``contacts`` is the number of contacts.
+    """
     return 1 if signal in range(1, SIGNALS * contacts, SIGNALS) else -1
 
 
@@ -26,7 +32,8 @@ class Leg(NamedTuple):
 
     code    the mode
     begun   (G,) end of its range, +-, at which each signal starts in the mode, 0 for none, see hybrid.events
-    signal  signal that reaches an end of its range at the event; -1 if the phase changes
+    signal  signal, a number computed from the state, that reaches an end of its range at the event; -1 if the
+            phase changes
     side    which end the signal reaches; 0 if the phase changes
     """
 
@@ -37,16 +44,17 @@ class Leg(NamedTuple):
 
     @property
     def mirrored(self) -> "Leg":
-        """The leg of the mirror image, see ``mirror_sign``."""
+        """The mirror image of the leg, a motion between two events, see ``mirror_sign``."""
         phase, contacts, slips = self.code
         code = ModeCode(phase, tuple(-number for number in contacts), tuple(-number for number in slips))
         begun = tuple(mirror_sign(g, len(contacts)) * number for g, number in enumerate(self.begun))
         return Leg(code, begun, self.signal, mirror_sign(self.signal, len(contacts)) * self.side)
 
     def label(self, before: ModeCode) -> int:
-        """Return the event as a number, which has the other sign in the mirror image.
+        """Return the label of the event at which the leg begins, a number with the opposite sign in the mirror image.
 
-        It is +-1 if the first contact is reached. ``before`` is the mode before the event.
+        A leg is a motion between two events. The label is +-1 if the first contact is reached. ``before`` is the mode,
+        the set of linear equations, before the event.
         """
         contact, friction = self.signal // SIGNALS, self.signal - SIGNALS * len(before.contacts)
         if friction >= 0:
@@ -62,7 +70,7 @@ class Itinerary(NamedTuple):
     sides      (m,) labels of the events of a turn, see Leg.label: +1 for an impact at the upper stop, -1 at the lower
     periods    forcing periods of the whole orbit; 0 for a cycle without a force, whose length is its own
     symmetric  True if a turn is half the orbit
-    legs       legs from each event to the next one; without events, the legs of the turn
+    legs       legs, motions under one set of linear equations, between events; without events, those of the turn
 
     ``legs`` is empty if all legs are flights from impact to impact with a lone rigid contact, see ``chains``.
     """
@@ -79,14 +87,14 @@ class Itinerary(NamedTuple):
 
     @property
     def chains(self) -> tuple[tuple[Leg, ...], ...]:
-        """The legs from each event to the next one, also if ``legs`` is empty."""
+        """The legs, motions under one set of linear equations, between the events, also if ``legs`` is empty."""
         if self.legs:
             return self.legs
         return tuple((Leg(FLYING, (side, 0), 0, side),) for side in self.sides) or ((Leg(FLYING, (0, 0), -1, 0),),)
 
     @property
     def bare(self) -> "Itinerary":
-        """The same itinerary, with empty ``legs`` if ``chains`` can restore them."""
+        """The same events, with empty ``legs`` if all motions are flights between impacts: ``chains`` restores them."""
         other = self._replace(legs=())
         return other if other.chains == self.legs else self
 
@@ -97,43 +105,46 @@ class Itinerary(NamedTuple):
 
     @property
     def turn(self) -> float:
-        """Length of a turn in periods of the machine; a whole cycle takes one of these."""
+        """Length of a turn in periods of the machine.
+
+        A limit cycle has a period of its own, and takes 1, or 0.5 if symmetric.
+        """
         return (0.5 if self.symmetric else 1.0) * (self.periods or 1)
 
     def span(self, machines: OrbitMachines) -> Array:
-        """Return the length (N,) of a turn of machines."""
+        """Return the duration (N,) of a turn in each of N machines."""
         length: Array = self.turn * 2.0 * math.pi / machines.omega
         return length
 
     @property
     def sections(self) -> int:
-        """Number of sections of the whole orbit: forcing periods, or passages of the rarest event of a cycle."""
+        """Number of sections of the whole orbit: instants t = k T, or passages of the rarest event of a cycle."""
         if not self.is_cycle:
             return self.periods
         full = self.twice if self.symmetric else self
         return min(Counter((leg.signal, leg.side, leg.code) for leg, *_ in full.chains).values())
 
     def impacts(self, side: int) -> int:
-        """Return how often a stop on this side is reached in the whole orbit."""
+        """Return how often a stop on this side, +1 for upper and -1 for lower stops, is reached in the whole orbit."""
         hits = [label for label in self.sides if (abs(label) - 1) % 4 == HIT]
         return len(hits) if self.symmetric else sum(label * side > 0 for label in hits)
 
     def legs_after(self, first: int, sign: int) -> tuple[tuple[Leg, ...], ...]:
-        """Return the legs from event ``first`` on; for sign -1 their mirror images."""
+        """Return the legs, motions between events, from event ``first`` on; for sign -1 their mirror images."""
         later_legs = self.legs[first:]
         return later_legs if sign > 0 else tuple(tuple(leg.mirrored for leg in legs) for legs in later_legs)
 
     @property
     def twice(self) -> "Itinerary":
-        """The itinerary of two turns as one, which is the whole of a symmetric orbit."""
+        """The sequence of events of two turns as one, which is the whole of a symmetric orbit."""
         sides = self.sides + tuple(self.sign * side for side in self.sides)
         legs = self.legs + self.legs_after(0, self.sign)
         return Itinerary(sides, self.periods if self.symmetric else 2 * self.periods, legs=legs)
 
     def repeats(self, k: int, sign: int) -> bool:
-        """Return True if each event, and what follows it, equals the k-th event before.
+        """Return True if each event, with the motion after it, is like the event k places before.
 
-        For sign -1 it equals the mirror image of that event.
+        For sign -1 it is like the mirror image of that event.
         """
         later, before = (self.sides[k:], self.sides[: len(self.sides) - k])
         same = all(a == sign * b for a, b in zip(later, before, strict=True))
@@ -143,13 +154,13 @@ class Itinerary(NamedTuple):
 class Orbit(NamedTuple):
     """A periodic orbit: the times and speeds of its events.
 
-    itinerary  its events and modes
-    times      (m,) times of the events in one turn after a section; of a cycle, after its first event
+    itinerary  its sequence of events, and the linear equations, or modes, between them
+    times      (m,) times of the events in one turn after a section t = k T; of a cycle, after its first event
     speeds     (m,) signed speeds before the events
     length     length of a turn of a cycle; NaN if the force determines it
 
     The times alone define the orbit, see ``equations.motion_of``; the speeds distinguish orbits. The speeds are the
-    rates of the signals that reach the end of their range, with the signs of the labels. A batch of orbits of one
+    rates of the numbers that reach an end of their range, with the signs of the labels. A batch of orbits of one
     itinerary has another axis in front of all fields.
     """
 
@@ -159,7 +170,7 @@ class Orbit(NamedTuple):
     length: Array = np.array(np.nan)
 
     def at_rows(self, rows: Any) -> "Orbit":
-        """Return these rows of a batch, in their order; for a number, that one orbit."""
+        """Return some orbits of a batch, in the order of ``rows``; for a single number, one orbit."""
         fields = self.times, self.speeds, np.broadcast_to(self.length, self.times.shape[:1])
         return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in fields))
 
@@ -176,5 +187,5 @@ class Orbit(NamedTuple):
 
 
 def many_orbits(orbits: Sequence[Orbit]) -> Orbit:
-    """Return orbits of one itinerary as one batch."""
+    """Return orbits with one sequence of events as one batch."""
     return Orbit(orbits[0].itinerary, *(np.array(fields) for fields in list(zip(*orbits, strict=True))[1:]))

@@ -1,7 +1,8 @@
 """One turn of an orbit over its legs and events, with its tangents, for single shooting.
 
-A turn begins just before its first event. Each leg ends at an event or at a change of phase. States are physical, z =
-(x, v), between legs, and in blocks within a leg. N is the number of machines, K of modes and L of legs.
+A leg is the motion in one mode, a set of linear equations; it ends at an event or at a change of phase. A turn begins
+just before its first event. States are physical, z = (x, v), between legs, and those of decoupled equations within a
+leg. N is the number of machines, K of modes and L of legs.
 """
 
 import math
@@ -27,9 +28,10 @@ from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_O
 from workers.model.hybrid_modes import SIGNALS
 
 MODE, EVENT, SIGNAL, END, ACT, PLAN = range(6)
-"""Columns of a leg in a plan. MODE: index of its mode. EVENT: the event at its end, NO_EVENT if the phase changes or
-the turn ends. SIGNAL: signal that reaches an end there. END: which end, 0 for the lower one. ACT: act of the event on
-the velocity. PLAN: number of columns."""
+"""Columns of a leg (motion between two events) in the table of a turn's legs, the plan. MODE: index of its mode, the
+linear equations. EVENT: the event at its end, NO_EVENT if the phase changes or the turn ends. SIGNAL: the number
+computed from the state that reaches an end of its range there. END: which end, 0 for the lower one. ACT: act of the
+event on the velocity. PLAN: number of columns."""
 
 NO_EVENT = -1
 
@@ -43,10 +45,10 @@ stick."""
 
 @kernel
 def fly_leg(modes, k, s, before, after, z, W, h, V):
-    """Advance a state z (2n,) and tangents W (m, 2n) by s in mode k, in place.
+    """Advance a state z (2n,) and tangents W (m, 2n) by the time s in mode k, in place.
 
-    ``before`` and ``after`` are the harmonics of the force at both ends, see hybrid.state.harmonics_at; h and V are
-    scratch arrays.
+    A mode is a set of linear equations of motion. ``before`` and ``after`` are the harmonics of the force at both ends,
+    see hybrid.state.harmonics_at; h and V are scratch arrays.
     """
     if s != 0.0:
         enter(modes, k, z, W, before, h, V)
@@ -56,7 +58,13 @@ def fly_leg(modes, k, s, before, after, z, W, h, V):
 
 @kernel
 def act_on(elements, r, act, signal, z, W):
-    """Apply an event to a velocity and to tangents W (m, 2n), in place."""
+    """Apply the jump of the velocity at an event to a state z (2n,) and to tangents W (m, 2n), in place.
+
+    elements  contacts and friction of the machines
+    r         row of the machine
+    act       what happens to the velocity: NOTHING, REBOUNDS, RESTS or SLOWS
+    signal    index of the signal, a number computed from the state, whose event it is: it tells the contact or friction
+    """
     n = elements.row.shape[2]
     if act in (REBOUNDS, RESTS):
         c = signal // SIGNALS
@@ -74,11 +82,18 @@ def act_on(elements, r, act, signal, z, W):
 
 @kernel
 def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
-    """Apply the saltation of the event at the end of a leg to tangents D (m, 2n) at a fixed time, in place.
+    """Apply the saltation matrix of the event at the end of a leg to tangents D (m, 2n) at a fixed time, in place.
 
-    S w = R w + (f+ - R f-) (r . w) / r'. All terms are taken where the guard is at its end, next to z if z itself is
-    not there. The map of a turn is thus smooth off the orbit too, however slowly a contact is reached. P (3, 2n) is
-    scratch space. S = R if friction begins to stick at a rate below ``minimum``.
+    modes, elements  modes (linear equations) of the orbit, and contacts and friction of the machines
+    plan, leg        legs of the turn, and the leg, a motion between two events, that ends at the event
+    r, omega         row and frequency of the machine
+    z, turn          (2n,) state before the event, and harmonics of the force then
+    minimum          rate below which friction begins to stick at rate 0
+    D, P             (m, 2n) tangents, (3, 2n) scratch space
+
+    S w = R w + (f+ - R f-) (r . w) / r'. All terms are taken where the guard, the number that decides the event, is at
+    its end, next to z if z itself is not there. The map of a turn is thus smooth off the orbit too, however slowly a
+    contact is reached. S = R if friction begins to stick at a rate below ``minimum``.
     """
     k, g, act, n = plan[leg, MODE], plan[leg, SIGNAL], plan[leg, ACT], len(z) // 2
     row, at, f, late = modes.rows[k, g, : 2 * n], P[0], P[1:2], P[2]
@@ -100,11 +115,11 @@ def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
 
 @kernel
 def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, minimum):
-    """Return the results of turns from ``start`` (N, 2n) over events at times t (N, m).
+    """Return the results of one turn of N orbits, from states ``start`` (N, 2n) over events at times t (N, m).
 
-    signals    (N, 3, m) value of each guard, its rate, and the rate after the event
-    states     (N, L, 2n) states at which legs begin
-    residuals  (N, M) sign z(end) - start, and distance of each guard from its end, M = 2n + m
+    signals    (N, 3, m) value of the number that decides each event, its rate before the event, and its rate after it
+    states     (N, L, 2n) states at which the legs, motions between two events each, begin
+    residuals  (N, M) sign z(end) - start, and distance of these numbers from their ends, M = 2n + m
     tangents   (N, M, M) derivatives [[sign V, sign U], [Hz, Ht]] of the residuals by start and times
     shifts     (N, M, M) see below
     maps       (N, 2n, 2n) of a turn, of the state at the time of the first event
@@ -168,10 +183,12 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, min
 
 @kernel
 def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal, mirror, s):
-    """Return the states (N, K, 2n) at times s (N, K), and a signal, its rate and its ends (4, N, K), in the mode there.
+    """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of one signal then.
 
-    ``begins`` (N, L) are the times at which the legs of a turn begin, ``states`` their states. An event at such a time,
-    up to rounding, counts as past. States and signal are multiplied by ``sign`` and ``mirror`` from turn to turn.
+    A signal is a number computed from the state, with an event at each end of its range. ``begins`` (N, L) are the
+    times at which the legs of a turn, motions between two events each, begin, ``states`` their states. An event at such
+    a time, up to rounding, counts as past. States and signal are multiplied by ``sign`` and ``mirror`` from turn to
+    turn.
     """
     (N, K), legs, size = s.shape, len(plan), states.shape[2]
     moments, values = np.empty((N, K, size)), np.empty((4, N, K))
@@ -205,9 +222,15 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
 
 @kernel
 def event_of_leg(pieces, r, k, z, phase, signal_starts, H):
-    """Return (time, signal, side) of the first guard that is reached within H from a state z in mode k.
+    """Return (time, signal, side) of the first event within the time H, from a state z (2n,) in mode k.
 
-    The signal is -1 if no guard is reached, and -2 if that is undecidable.
+    pieces         modes, sets of linear equations, of N machines
+    r              row of the machine
+    phase          phase of the force at the start
+    signal_starts  (G,) end of its range, +-, at which each signal starts, 0 for none
+
+    At an event a signal, a number computed from the state, reaches an end of its range. The signal is -1 if there is no
+    event, and -2 if that is undecidable.
     """
     modes, n = row_in(by_reference(pieces), r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
@@ -219,9 +242,15 @@ def event_of_leg(pieces, r, k, z, phase, signal_starts, H):
 
 @kernel
 def beyond_range(pieces, r, k, signal_starts, z, phase, share):
-    """Return (signal, side) of the first signal that is beyond its range in mode k, by a ``share`` of its terms.
+    """Return (signal, side) of the first signal that is out of its range at a state z (2n,); (-1, 0) if none is.
 
-    Return (-1, 0) if no signal is.
+    pieces         modes, sets of linear equations, of N machines
+    r, k           row of the machine, and index of its mode
+    signal_starts  (G,) end of its range, +-, at which each signal starts, 0 for none; signals with 0 are checked
+    phase          phase of the force
+    share          distance from the end, as a share of the signal's terms, from which on a signal is out of range
+
+    A signal is a number computed from the state; an event occurs at each end of its range.
     """
     modes = row_in(by_reference(pieces), r)
     turn = harmonics_at(phase, modes.waves.shape[2])

@@ -1,4 +1,4 @@
-"""Newton's method on a stack of N problems of one kind; a single problem is N = 1."""
+"""Newton's method for N systems of equations of one kind at once; a single system is N = 1."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -54,7 +54,7 @@ def newton(
     values         function: residuals (B, E) at unknowns (B, U) of the problems (B,)
     with_jacobian  function: residuals, and their derivatives (B, E, U)
     scale          (N, U) scale of the unknowns
-    row            (U,) direction in which nothing changes, if there is one unknown more than equations
+    row            (U,) weights of a sum of unknowns that stays constant, if there is one unknown more than equations
     farthest       length of the first step from which on the search fails: a solution would hardly be the one near X
     sizes          (N, E) sizes of terms of the residuals that depend on no unknown, for the rounding of residuals
 

@@ -10,16 +10,16 @@ from workers.continuation.shooting import OrbitMotion
 from workers.model.oscillator import Array
 
 SAME_ORBIT = 1e-7
-"""Maximum difference of times, in radians of the force, and of speeds, relative, of equal orbits."""
+"""Maximum difference between equal orbits: of times, in radians of the force, and of speeds, relative."""
 
 
 def distance(one: Orbit, other: Orbit, omega: float) -> float:
     """Return the distance of two orbits at the same parameters, the smallest over all phases and both mirror images.
 
     The distance is the largest difference of times, in radians of the force, and of speeds, relative to the fastest
-    impact. It is infinite for different itineraries. Cycles may begin at any time, and their times count in radians of
-    their own turn. Mirror images are compared for every machine: the image of an orbit is no orbit of a machine that is
-    not symmetric.
+    impact. It is infinite for different sequences of events. Cycles may begin at any time, and their times count in
+    radians of their own turn. Mirror images are compared for every machine: the image of an orbit is no orbit of a
+    machine that is not symmetric.
     """
     a, b = one.itinerary, other.itinerary
     if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
@@ -59,7 +59,10 @@ def double_orbit(orbit: Orbit, span: float) -> Orbit:
 
 @cache
 def beginnings(one: Itinerary, other: Itinerary) -> tuple[int, ...]:
-    """Return the events of an orbit from which on its events and modes are in the order of another itinerary.
+    """Return the indices of events of an orbit from which on it has the sequence of events of another orbit.
+
+    one    itinerary, the sequence of events and of the linear equations between them, of the orbit
+    other  itinerary of the other orbit
 
     Indices of events in the second half of a symmetric orbit follow those of the first. The result is empty if the
     events differ, and (0,) if there are no events.
@@ -77,7 +80,13 @@ def _sequence(itinerary: Itinerary) -> list[tuple[int, tuple[object, ...]]]:
 
 
 def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> Orbit:
-    """Return the same orbit, of turns of length ``span``, from one of its ``beginnings`` on, with that itinerary."""
+    """Return an orbit with event ``first`` as its first one.
+
+    orbit      the orbit
+    first      index of the event, one of the ``beginnings`` of the orbit
+    itinerary  sequence of the events from that event on
+    span       length of a turn
+    """
     turns, events = np.divmod(first + np.arange(len(orbit.times)), max(1, len(orbit.times)))
     times = orbit.times[events] + turns * span
     speeds = orbit.speeds[events] * np.where(turns % 2 == 0, 1.0, itinerary.sign)
@@ -86,7 +95,7 @@ def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> O
 
 @cache
 def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
-    """Return the itineraries of shorter or symmetric orbits that may be repeated as this one, by sides and length."""
+    """Return the itineraries, sequences of events, of shorter or symmetric orbits that have this one if repeated."""
     sides, m, shorter = itinerary.sides, len(itinerary.sides), list[Itinerary]()
     halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn; 0 for a cycle
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
@@ -100,7 +109,9 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
 
 
 def difference(motion: OrbitMotion, to: Itinerary) -> Array:
-    """Return the differences (2m,) of an orbit from a shorter one repeated: of times, then of speeds.
+    """Return how an orbit differs from a shorter orbit repeated: differences (2m,) of times, then of speeds.
+
+    ``to`` is the itinerary, the sequence of events, of the shorter orbit.
 
     Times are in radians of the force; speeds are relative to the fastest one.
     """
@@ -112,12 +123,12 @@ def difference(motion: OrbitMotion, to: Itinerary) -> Array:
 
 
 def is_minimal(motion: OrbitMotion) -> bool:
-    """Return True if an orbit is no repetition of a shorter orbit that its itinerary allows."""
+    """Return True if an orbit is no repetition of a shorter orbit that its sequence of events allows."""
     return all(np.max(np.abs(difference(motion, to))) > SAME_ORBIT for to in reductions(motion.itinerary))
 
 
 def reduce_orbit(orbit: Orbit, to: Itinerary) -> Orbit:
-    """Return the shorter or symmetric orbit next to an orbit that is nearly that orbit repeated."""
+    """Return the shorter orbit, with the sequence of events ``to``, that an orbit nearly repeats."""
     k = len(to.sides)
     length = orbit.length * k / len(orbit.times)
     return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), length)

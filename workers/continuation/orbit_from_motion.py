@@ -18,10 +18,10 @@ that is known to be symmetric."""
 def record_orbit(
     machine: OrbitMachines, state: Array, periods: int, symmetric: bool = False, cycle: float | None = None
 ) -> Orbit:
-    """Return the orbit of one machine whose events occur in some periods from a physical section state.
+    """Return the orbit of one machine whose events occur in ``periods`` periods from a state at a section t = k T.
 
     machine    the machine
-    state      (2n,) physical section state; of a cycle, any of its states
+    state      (2n,) physical state at a section; of a cycle, any of its states
     periods    forcing periods of the orbit
     symmetric  True if the orbit is known to be symmetric
     cycle      period of a cycle without a force; None for an orbit with a force
@@ -47,10 +47,10 @@ def record_orbit(
 
 
 def _between_impacts(machine: OrbitMachines, state: Array, periods: int) -> list[RecordedLeg]:
-    """Return the impacts of flights in some periods, in order of their phase, after the start.
+    """Return the impacts of a motion in free flight over ``periods`` periods, in order of their phase, after the start.
 
     The periods begin in the middle of the longest flight of the first period. Otherwise rounding could count an impact
-    at the section twice or not at all.
+    at the section, t = k T, twice or not at all.
     """
     start, *motions = record_legs(machine.oscillators, state, periods + 1)
     period = 2.0 * np.pi / float(machine.omega[0])
@@ -62,9 +62,13 @@ def _between_impacts(machine: OrbitMachines, state: Array, periods: int) -> list
 
 
 def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
-    """Return a cycle from the event after its longest leg on.
+    """Return a limit cycle that begins with the event after its longest motion without an event.
 
-    The recorded motion is cut in the middle of that leg, since it may not close exactly yet.
+    machine  machine without a force
+    state    (2n,) state on the cycle
+    period   period of the cycle
+
+    The recorded motion is cut in the middle of its longest part without events, since it may not close exactly yet.
     """
     turn_machine = with_modes(machine.machines._replace(omega=np.array([2.0 * np.pi / period])))
     motions = [motion for motion in record_legs(turn_machine.oscillators, state, 3) if motion.signal >= 0]
@@ -83,10 +87,10 @@ def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
 
 
 def orbit_from_turn(turn: Sequence[RecordedLeg], before: ModeCode, periods: int, length: float = np.nan) -> Orbit:
-    """Return the orbit of a turn of legs, which begins with an event.
+    """Return the orbit of one turn, given as legs, motions between two events each; the turn begins with an event.
 
     turn     recorded legs of the turn
-    before   mode before the first event
+    before   mode, the set of linear equations, before the first event
     periods  forcing periods of the orbit; 0 for a cycle
     length   length of a cycle
     """
@@ -105,9 +109,10 @@ def orbit_from_turn(turn: Sequence[RecordedLeg], before: ModeCode, periods: int,
 
 
 def reduce_symmetry(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:
-    """Return the half of an orbit of one machine whose other half is its mirror image; else the orbit itself.
+    """Return the first half of an orbit if the other half is its mirror image; else the orbit itself.
 
-    Times of events of both halves may differ by the share ``alike`` of a turn.
+    Times of events of both halves may differ by the share ``alike`` of a turn. ``machine`` is a single machine in a
+    batch.
     """
     (sides, periods, symmetric, legs), half = orbit.itinerary, len(orbit.times) // 2
     span = orbit.span(machine)

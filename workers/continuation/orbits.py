@@ -1,4 +1,4 @@
-"""Orbits from a cell's section state, many at once from neighbouring cells, and section states of orbits."""
+"""Orbits from a cell's state at a section t = k T, many at once from neighbouring cells, and such states of orbits."""
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -26,7 +26,7 @@ FARTHEST = 0.5
 
 
 class OrbitBatch(NamedTuple):
-    """N orbits of one itinerary.
+    """N orbits with one sequence of events.
 
     orbits     the orbits, as a batch
     values     (N, free) parameters
@@ -55,12 +55,12 @@ def group_indices(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
 
 
 def many_of(orbits: list[Orbit], values: Array) -> OrbitBatch:
-    """Return orbits of one itinerary as one batch, with their parameters (N, free)."""
+    """Return orbits with one sequence of events as one batch, with their parameters (N, free)."""
     return OrbitBatch(many_orbits(orbits), values, np.ones(len(orbits), dtype=bool))
 
 
 def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatch:
-    """Return the orbits near these at other parameters (N, free), by Newton's method on each.
+    """Return the orbits near those of ``orbits`` at other parameters ``values`` (N, free), by Newton's method on each.
 
     Newton's method starts from impacts at the same phases. It fails if steps do not shrink or are long, since the orbit
     found would hardly be the same one.
@@ -121,7 +121,7 @@ def orbit_from_state(
     symmetric: bool = False,
     cycle: float | None = None,
 ) -> Orbit:
-    """Return the periodic orbit through a physical section state, or next to it, by Newton's method.
+    """Return the periodic orbit through a state at a section t = k T, or next to it, by Newton's method.
 
     system     mechanical system
     values     parameters by name; the others have their defaults
@@ -161,11 +161,11 @@ def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> 
 def section_states(
     system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0, known: bool = False
 ) -> Array:
-    """Return the physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T of a turn.
+    """Return the physical states (N, n, 2d) of N orbits at the n sections t = k T.
 
     system  mechanical system
     values  parameters (N,) by name; the others have their defaults
-    orbits  N orbits of one itinerary
+    orbits  N orbits with one sequence of events
     shift   shift of the section, in forcing periods
     known   True for the states of cycles after all events, see ``comparison_states``
 
@@ -178,11 +178,11 @@ def section_states(
 
 
 def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
-    """Return the physical states (N, n, 2d) of orbits at the sections of a turn, see ``section_states``.
+    """Return the physical states (N, n, 2d) of orbits at the sections t = k T, see ``section_states``.
 
-    The sections of a cycle are the passages of its rarest event, just after the event. If several events are rarest,
-    the first by signal, side and mode is taken. With a ``shift`` the sections are the passages of that event of the
-    mirror images.
+    A cycle without a force has, in place of sections, the passages of its rarest event, just after the event. Of
+    several rarest events, the one with the smallest key is taken. With a ``shift`` the passages are those of the mirror
+    images.
     """
     if many.itinerary.is_cycle:
         return _states_after(machines, many, _rarest(machines, many.itinerary, shift > 0.0))
@@ -196,7 +196,7 @@ def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0)
 def comparison_states(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
     """Return the physical states (N, K, 2d) that two orbits share if they are equal.
 
-    The states are those at sections; the states of cycles are those after all events.
+    The states are those at sections t = k T; the states of cycles without a force are those after all events.
     """
     if not many.itinerary.is_cycle:
         return states_at_sections(machines, many, shift)
@@ -204,7 +204,10 @@ def comparison_states(machines: OrbitMachines, many: Orbit, shift: float = 0.0) 
 
 
 def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -> Array:
-    """Return the states just after some events of a whole cycle, its second half included if the cycle is symmetric."""
+    """Return physical states (N, K, 2d) of cycles just after the events with indices ``events`` (K,).
+
+    The events of a symmetric cycle's second half follow those of the first half.
+    """
     motion, m = motion_of(machines, many), len(many.itinerary.sides)
     legs = 1 + np.searchsorted(np.cumsum(motion.plan.table[:, EVENT] != NO_EVENT), np.arange(1, m + 1))
     after = motion.turn.states[:, legs]
@@ -212,9 +215,9 @@ def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -
 
 
 def _rarest(machines: OrbitMachines, itinerary: Itinerary, mirrored: bool) -> list[int]:
-    """Return the indices of those events of a cycle that are its sections, see ``states_at_sections``.
+    """Return the indices of the events of a cycle that take the place of sections t = k T, see ``states_at_sections``.
 
-    With ``mirrored`` they are the sections of its mirror image.
+    With ``mirrored`` they are those of its mirror image.
     """
     chains = (itinerary.twice if itinerary.symmetric else itinerary).chains
     legs = [leg.mirrored if mirrored else leg for leg, *_ in chains]

@@ -77,7 +77,7 @@ class PseudoArclength:
         self.length = 0.5 * length
 
     def closes(self) -> Array | None:
-        """Return the start as unknowns (N,) of these equations if the last step passed it; None if it did not.
+        """Return the start as unknowns (N,) of the present equations if the last step passed it; None if it did not.
 
         The same orbit may have events that are whole periods later by now, or may begin with another one of its events.
         """
@@ -122,7 +122,7 @@ def tangent_at(equations: ExtendedSystem, jacobian: Array, direction: Array) -> 
 def _as_unknowns(equations: ExtendedSystem, X: Array, other: ExtendedSystem, near: Array) -> Iterator[Array]:
     """Yield the solution X of one extended system as unknowns of another one, near the unknowns ``near`` in time.
 
-    There is one result for each event from which on the events and modes of both systems agree.
+    There is one result for each event from which on the sequences of events of both systems agree.
     """
     orbit, contacts, values = equations.orbit(X), equations.contacts(X), equations.values(X)
     lin, itinerary, times = equations.model(values), other.itinerary, other.orbit(near).times

@@ -2,10 +2,11 @@
 
     sign z(t_0 + L) - z(t_0) = 0,  r_i(z(t_i^-), t_i) = its end
 
-The unknowns are the physical state z = (x, v) just before the first event, relative to the rest of the machine, and the
-times t_i of all events. A cycle without a force has L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) =
--z(t), only the events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times,
-which are no unknowns.
+Here r_i is the signal, a number computed from the state, that reaches an end of its range at event i. The unknowns are
+the physical state z = (x, v) just before the first event, relative to the rest of the machine, and the times t_i of all
+events. A cycle without a force has L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) = -z(t), only the
+events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times, which are no
+unknowns.
 """
 
 import math
@@ -39,22 +40,23 @@ from workers.model.hybrid_modes import OPEN, SIGNALS, HybridModes, ModeCode
 from workers.model.oscillator import Array
 
 Table = NDArray[Any]
-"""Real numbers, or complex numbers if z is complex."""
+"""Array of real numbers, or of complex numbers if the growth factor z is complex."""
 
 LEAST = 1e-3
 """Minimum size of a motion, as a share of the displacement of the masses by the force alone."""
 
 NO_RATE = 1e-9
-"""Rate of a signal, as a share of its size over one radian, that counts as 0."""
+"""Rate of a number that decides an event, as a share of its size over one radian of the force, that counts as 0."""
 
 PLANS = 256
-"""Maximum number of plans in the cache. Itineraries are few, since all points of a branch share one."""
+"""Maximum number of plans of turns, see ``TurnPlan``, in the cache. Itineraries, sequences of events, are few, since
+all points of a branch share one."""
 
 
 class TurnPlan(NamedTuple):
-    """The properties of a turn that its itinerary alone determines.
+    """The properties of a turn that its itinerary, the sequence of events and linear equations, alone determines.
 
-    legs     legs, each with the event at its end, NO_EVENT if there is no event; the leg before event 0 has no length
+    legs     motions between events, each with the event at its end or NO_EVENT; the one before event 0 has no length
     turning  events at which friction turns round, each with its signal and the mode in which the friction would stick
     codes    modes of the legs, and those in which friction that turns round would stick
     table    (L, PLAN) legs as ``turns_of_modes`` takes them
@@ -62,6 +64,8 @@ class TurnPlan(NamedTuple):
     signs    (m,) factors on the rates of signals that give them the signs of the events' labels
     impacts  True if all events are rebounds, with a flight from each to the next
     slows    True if friction begins to stick at any event
+
+    A mode is a set of linear equations; a signal is a number computed from the state that decides an event.
     """
 
     legs: tuple[tuple[Leg, int], ...]
@@ -75,13 +79,16 @@ class TurnPlan(NamedTuple):
 
 
 def plan_of(machines: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
-    """Return the plan of an itinerary of machines."""
+    """Return the events and the motions between them in one turn of orbits with this itinerary, for ``machines``."""
     return _plan_of(itinerary, tuple(machines.elements.soft[0].tolist()))
 
 
 @lru_cache(PLANS)
 def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> TurnPlan:
-    """Return the plan of an itinerary of machines. ``soft`` is 1 for each of their contacts that is soft, else 0."""
+    """Return the events and the motions between them in one turn of orbits with this itinerary, see ``plan_of``.
+
+    ``soft`` is 1 for each contact of the machines that is soft, else 0. An itinerary is a sequence of events.
+    """
     m, chains = len(itinerary.sides), itinerary.chains
     legs = [(leg, NO_EVENT) for leg in chains[0]]
     if m:
@@ -121,7 +128,8 @@ def _act(before: ModeCode, after: Leg, soft: tuple[float, ...]) -> int:
 class TurnResult(NamedTuple):
     """The result of ``legs.turns_of_modes`` for N orbits; the fields are explained there.
 
-    ``maps`` are DP, products of flows and saltations; for symmetric orbits D_G = -DP of half, whose square is DP.
+    ``maps`` are the Jacobians DP of a turn, products of flows and saltation matrices. A turn of a symmetric orbit is
+    half of it, and the map is -DP of this half, whose square is the map of the whole orbit.
     """
 
     signals: Array
@@ -134,10 +142,10 @@ class TurnResult(NamedTuple):
 
 @dataclass(frozen=True)
 class OrbitMotion:
-    """The motions of N orbits of one itinerary with their machines.
+    """The motions of N orbits with one sequence of events, and their machines.
 
     lin        the machines
-    itinerary  events and modes
+    itinerary  the sequence of events, and the linear equations between them
     times      (N, m) times of the events
     start      (N, 2n) states before the first event; without events, at time 0
     """
@@ -160,18 +168,18 @@ class OrbitMotion:
 
     @cached_property
     def plan(self) -> TurnPlan:
-        """The legs and events of a turn."""
+        """The events of a turn, and the motions between them."""
         return plan_of(self.lin, self.itinerary)
 
     @property
     def orbits(self) -> Orbit:
-        """The orbits as one batch."""
+        """The orbits, with the speeds at their events, as one batch."""
         speeds = self.plan.signs * self.turn.signals[:, 1]
         return Orbit(self.itinerary, self.times, speeds, *[self.span][: self.itinerary.is_cycle])
 
     @cached_property
     def pieces(self) -> HybridModes:
-        """The modes of the orbit, along an axis after the first."""
+        """The modes of the orbit, sets of linear equations between events, along an axis after the first."""
         modes = [self.lin.mode(code) for code in self.plan.codes]
         if len(modes) == 1:
             return HybridModes(*(field[:, None] for field in modes[0]))
@@ -179,7 +187,7 @@ class OrbitMotion:
 
     @cached_property
     def ends(self) -> Array:
-        """Time (N, L) at which each leg ends."""
+        """Time (N, L) at which each leg, the motion between two events or changes of phase, ends."""
         table, starts, period = self.plan.table, self.lin.elements.starts, 2.0 * math.pi / self.lin.omega
         times, events = np.empty((len(self.start), len(table))), table[:, EVENT] != NO_EVENT
         times[:, events] = self.times
@@ -196,7 +204,7 @@ class OrbitMotion:
 
     @cached_property
     def begins(self) -> Array:
-        """Time (N, L) at which each leg begins."""
+        """Time (N, L) at which each leg, the motion between two events or changes of phase, begins."""
         first = self.times[:, :1] if self.itinerary.sides else np.zeros((len(self.start), 1))
         return np.concatenate([first, self.ends[:, :-1]], axis=1)
 
@@ -219,9 +227,10 @@ class OrbitMotion:
 
     @property
     def _least(self) -> Array:
-        """Rates (N, m) of signals of events that count as 0: the guard changes by its size in 1 / NO_RATE radians.
+        """Rates (N, m) up to which the numbers that decide events count as constant.
 
-        Friction that begins to stick at such a rate has f+ = R f-. Other events do not need these rates.
+        At such a rate a number changes by its size in 1 / NO_RATE radians of the force. Friction that begins to stick
+        at such a rate has f+ = R f-. Other events do not need these rates.
         """
         if not self.plan.slows:
             return np.zeros_like(self.times)
@@ -234,15 +243,16 @@ class OrbitMotion:
 
     @property
     def _rows(self) -> Array:
-        """Moduli (N, m, 2n) of the weights of states in the signals of events."""
+        """Moduli (N, m, 2n) of the weights of states in the numbers that decide the events, such as displacements."""
         modes, signals = self.plan.reached[:, MODE], self.plan.reached[:, SIGNAL]
         return np.abs(self.pieces.rows[:, modes, signals, : self.start.shape[1]])
 
     @property
     def forced_sizes(self) -> Array:
-        """Sizes (N, M) of the forced parts that are subtracted from states and guards and added again, with rounding.
+        """Sizes (N, M) of the forced parts of states and of the numbers that decide events.
 
-        With light damping or a low frequency the forced parts are far larger than the motion.
+        Forced parts are subtracted and added again, with rounding. With light damping or a low frequency they are far
+        larger than the motion.
         """
         pieces, (modes, signals) = self.pieces, self.plan.reached[:, [MODE, SIGNAL]].T
         blocks = np.abs(pieces.forced).sum(axis=(-2, -1)).reshape(*pieces.to_physical.shape[:-1], 1)
@@ -253,13 +263,13 @@ class OrbitMotion:
         """Return J_z (N, M, M): the equations linearised for perturbations that grow by z in a turn.
 
         The perturbations are those of states and times. z = 1 gives the Jacobian of the residuals of ``turn``. With
-        r'_i the rate of the signal that reaches event i, just before the event (v_i for an impact),
+        r'_i the rate of the number that decides event i, just before the event (v_i for an impact),
 
             det J_z = det(DP - z I) prod_i r'_i.
 
         The determinant is zero if z is a multiplier, and has no poles. A cycle has the multiplier 1. For z = 1 the
         length of its turn is unknown instead of the time of the first event. Its other multipliers are those of the map
-        of its section, det J_1 = -det(P - I) prod_i r'_i.
+        from one passage of that event to the next, det J_1 = -det(P - I) prod_i r'_i.
         """
         jacobian: Table = self.turn.tangents - z * self.turn.shifts
         if z == 1 and self.itinerary.is_cycle:
@@ -267,9 +277,10 @@ class OrbitMotion:
         return jacobian
 
     def states_at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
-        """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of a signal.
+        """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of a signal then.
 
-        An event at such a time counts as past.
+        A signal is a number computed from the state, which has a range with two ends. An event at such a time counts as
+        past.
         """
         machines, sign = self.lin, float(self.itinerary.sign)
         mirror = 1.0 if sign > 0.0 else float(mirror_sign(signal, machines.elements.soft.shape[1]))
@@ -287,12 +298,20 @@ class OrbitMotion:
         return states, signals
 
     def distance_to_end(self, signal: int, side: int, s: Array) -> list[Array]:
-        """Return the distance (N, K) of a signal from an end at times s (N, K), and its rate."""
+        """Return the distance (N, K) of a signal from an end of its range at times s (N, K), and its rate (N, K).
+
+        A signal is a number computed from the state, with an event at each end. ``side`` is +1 for the upper and -1 for
+        the lower end.
+        """
         _, (value, rate, low, high) = self.states_at(s, signal)
         return [value - (high if side > 0 else low), rate]
 
     def holding_margin(self, event: int, signal: int, side: int) -> Array:
-        """Return the distance (N,) of the force that holds friction just after an event from an end of its range.
+        """Return the distance (N,) of a signal just after an event, such as a holding force, from an end of its range.
+
+        event   index of the event
+        signal  index of the signal, a number computed from the state; that of friction is the force that holds it
+        side    +1 for the upper and -1 for the lower end
 
         If the friction does not stick there, the force is the one that would hold it.
         """
@@ -307,9 +326,10 @@ class OrbitMotion:
         return np.asarray(value - mode.ends[:, signal, 1 if side > 0 else 0])
 
     def unknowns_along(self, change: Array) -> Array:
-        """Return the change of the unknowns (N, 2n + m) with the state (N, 2n) at the time of the first event.
+        """Return the change (N, 2n + m) of the unknowns that goes with a ``change`` (N, 2n) of the state.
 
-        The state just before the event moves by f- with the event's time.
+        The state is changed at the time of the first event. If the time of the event changes, the state just before the
+        event moves by f-, its rate of change there.
         """
         size, turn = change.shape[1], self.turn
         before, tangents = -turn.shifts[:, :size, size : size + 1], turn.tangents[:, size:]
@@ -321,7 +341,7 @@ class OrbitMotion:
 
     @property
     def n_zero_multipliers(self) -> int:
-        """Number of multipliers that are zero: the largest number of dimensions that a mode of the orbit lacks."""
+        """Number of multipliers that are zero: the largest number of dimensions that sticking removes on the orbit."""
         return int(max(self.lin.mode(leg.code).lost[0] for leg, _ in self.plan.legs))
 
     @cached_property
@@ -335,8 +355,8 @@ class OrbitMotion:
     def scale(self) -> tuple[Array, Array]:
         """Return scales that make unknowns comparable.
 
-        The scale of states (N, 2n) is the largest displacement and the largest velocity of any coordinate. The scale of
-        guards (N, m) is the signals of such a state.
+        The scale of states (N, 2n) is the largest displacement and the largest velocity of any coordinate. The second
+        scale (N, m) is that of the signals at events, in such a state.
         """
         states, n = np.abs(self.turn.states), self.start.shape[1] // 2
         omega = self.lin.omega

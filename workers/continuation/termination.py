@@ -1,4 +1,4 @@
-"""Events on a step at which orbits cease: grazes, lost events, onset and end of stick."""
+"""Events on a step of continuation at which orbits cease: grazes, lost events, onset and end of stick."""
 
 from itertools import pairwise
 
@@ -55,10 +55,10 @@ def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent 
 
 
 def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
-    """Return the event at which an orbit loses its slowest event, if it is next to the start of the step; else None.
+    """Return the event at which an orbit loses the event of least rate, if that is next to a step's start; else None.
 
-    Such an event is a corner of a branch. Return None if all events are impacts, since the equations are smooth beyond
-    the loss of an impact.
+    The loss is a corner of a branch. Return None if all events are impacts, since the equations are smooth beyond the
+    loss of an impact.
     """
     motion = step.equations.motion(step.start)
     if motion.plan.impacts:
@@ -70,7 +70,10 @@ def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
 
 
 def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> LocatedEvent | None:
-    """Return the graze, the lost event or the change of stick that causes a fault at X; None if it is not found."""
+    """Return the graze, the lost event or the change of stick that makes the orbit at unknowns X (N,) inadmissible.
+
+    Return None if it is not found. ``reason`` is why the orbit is not admissible.
+    """
     conditions, motion = step.equations.conditions, step.equations.motion(X)
     if reason.reason == ORDER:
         return None
@@ -83,10 +86,10 @@ def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> L
 def _of_holding(
     step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault
 ) -> LocatedEvent | None:
-    """Return the event at which the force that would hold friction at an event equals its static level.
+    """Return the event at which the force that would hold friction, at an event of the orbit, is at its static level.
 
-    For any other signal it is the event at which the signal reaches its end at an event: both exchange their order
-    there.
+    For any other signal, a number computed from the state, it is the event at which this signal reaches an end of its
+    range at an event of the orbit: both exchange their order there.
     """
     if reason.impact < 0:
         return None
@@ -102,10 +105,16 @@ def _of_holding(
 def _of_loss(
     step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault, near: float = 0.0
 ) -> LocatedEvent | None:
-    """Return the event at which an event of the orbit is lost.
+    """Return the event of a branch at which an event of the orbit is lost; None if it is not found.
+
+    step    step of the continuation
+    X       (N,) unknowns at which the event is lost or nearly so
+    motion  motion of the orbit there
+    reason  fault with the index of the event
+    near    distance from the step within which the loss may lie
 
     A lost impact, or a lost slide that sticks, has zero speed there. Any other event is lost at the graze of the orbit
-    without it, on the step or ``near`` it.
+    without it.
     """
     eq = step.equations
     if motion.plan.impacts or motion.plan.reached[reason.impact, ACT] == SLOWS:

@@ -1,1 +1,1 @@
-"""Systems, their parameters, and the matrices of a machine as blocks."""
+"""Mechanical systems: their definitions, their parameters, and their equations of motion as decoupled blocks."""

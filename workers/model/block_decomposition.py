@@ -21,9 +21,8 @@ COUPLED = 1e-13
 """Coupling of modes by the damping, relative to the largest damping, above which it exceeds rounding."""
 
 LIGHT = 1e-9
-"""Coupling up to which modes stay the blocks if planes nearly coincide. Such a coupling changes less than the rounding
-of the planes does.
-"""
+"""Coupling of modes by the damping up to which the modes are taken as blocks if invariant planes nearly coincide. Such
+a coupling changes less than the rounding of the planes does."""
 
 GRADED = 1e3
 """Ratio of squared frequencies above which modes are refined, since rounding of the largest shows in the smallest."""
@@ -34,15 +33,13 @@ Damping below it, likewise, counts as none.
 """
 
 INSEPARABLE = 1e5
-"""Condition of the rows of planes above which planes are inseparable. Machines are exempt if M, C and K are symmetric,
-and C and K feed in no energy. Below it the flow has a relative error of about 3e-16 times the condition, 1e-9 at 2e5.
-Rounding keeps the condition of equal planes near 1e8.
-"""
+"""Condition number of the rows of invariant planes above which planes are inseparable. Machines are exempt if M, C and
+K are symmetric, and C and K feed in no energy. Below it the flow has a relative error of about 3e-16 times the
+condition, 1e-9 at 2e5. Rounding keeps the condition of equal planes near 1e8."""
 
 REFINED = 100.0
-"""Condition of the rows of planes up to which refinement pays. Refinement removes an error, but adds rounding that
-grows as the square of the condition.
-"""
+"""Condition number of the rows of invariant planes up to which refinement pays. Refinement removes an error, but adds
+rounding that grows as the square of the condition."""
 
 NEIGHBOUR = 1e-3
 """Mixing of two modes up to which refinement removes it."""
@@ -67,7 +64,7 @@ class BlockDecomposition(NamedTuple):
 
 @memoize_arrays
 def split(mass: Array, damping: Array, stiffness: Array) -> BlockDecomposition:
-    """Return the blocks of oscillators with these matrices (N, n, n).
+    """Return oscillators with these matrices (N, n, n) as decoupled equations h'' + 2 eta h' + lam h, the blocks.
 
     The blocks of an oscillator depend on its own matrices only, to the bit.
     """
@@ -119,7 +116,7 @@ def resists(damping: Array) -> Mask:
 
 
 def _rounding(n: int, damping: Any, stiffness: Any) -> Any:
-    """Return the rounding of a growth rate of zero.
+    """Return the size up to which a growth rate counts as the rounding of zero.
 
     n          number of coordinates
     damping    size of the damping
@@ -188,7 +185,7 @@ def _values_and_vectors(matrix: Array) -> Array:
 
 
 def interleaved(rows: Array) -> Array:
-    """Return the rows of (h_1, h_1', ...) on (x, x') that apply rows (N, n, n) to displacements and to velocities."""
+    """Return the matrices (N, 2n, 2n) from (x, x') to (h_1, h_1', h_2, ...), if h = A x with A = ``rows`` (N, n, n)."""
     N, n = rows.shape[:2]
     both = np.zeros((N, 2 * n, 2 * n))
     both[:, 0::2, :n] = both[:, 1::2, n:] = rows
@@ -198,7 +195,7 @@ def interleaved(rows: Array) -> Array:
 def _split_planes(
     blocks: BlockDecomposition, r: int, lam: Array, damping: Array, modes: Array, weighted: Array, passive: bool
 ) -> None:
-    """Write the blocks of oscillator r, whose damping (n, n) couples its undamped modes.
+    """Write the decoupled equations of oscillator r into ``blocks``; its damping (n, n) couples its undamped modes.
 
     lam       (n,) squared frequencies
     damping   (n, n) damping between the modes
@@ -249,10 +246,10 @@ def _split_planes(
 
 
 def _split_any(blocks: BlockDecomposition, r: int, mass: Array, damping: Array, stiffness: Array) -> None:
-    """Write the blocks of oscillator r with any matrices (n, n), as invariant planes of z' = A z with z = (x, x').
+    """Write the decoupled equations of oscillator r, with any matrices (n, n), into ``blocks``.
 
-    Coordinates are first balanced by powers of two, and time is scaled by a power of two. Blocks of free motions, K x =
-    0, have no stiffness.
+    They are found from the invariant planes of z' = A z with z = (x, x'). Coordinates are first balanced by powers of
+    two, and time is scaled by a power of two. Free motions, K x = 0, have no stiffness.
     """
     from scipy.linalg import matrix_balance  # see invariant_planes.planes_of
 

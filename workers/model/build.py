@@ -51,21 +51,23 @@ from workers.model.oscillator import (
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = (*OF_STRUCTURE, "upper", "lower")
-"""Fields that are equal in machines of a kind."""
+"""Fields of SingleContactMachines in which all machines of one kind, see ``_kinds``, are equal."""
 
 Kinds = Rows | EllipsisType
-"""The kind of each machine; an ellipsis for a single machine."""
+"""Index of the kind of each machine, see ``_kinds``; an ellipsis for a single machine."""
 
 
 @np.errstate(all="ignore")
 def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]]:
-    """Return the oscillators of many machines, and the reason against each, NO_REASON if there is none.
+    """Return the oscillators of many machines, and codes (N,) of the reasons why one is invalid.
 
-    Each of the following is a reason:
+    The code of a valid oscillator is NO_REASON.
 
-    RIGID_MODE       a rigid mode is invisible in the gap, or there is more than one
-    UNSTABLE         growing motion is invisible in the gap
-    COUPLED_DAMPING  planes are inseparable in double precision
+    The reasons are:
+
+    RIGID_MODE       a rigid mode leaves the gap unchanged, or there is more than one rigid mode
+    UNSTABLE         a growing motion leaves the gap unchanged
+    COUPLED_DAMPING  invariant planes of the motion are inseparable in double precision
     RESONANCE        undamped resonance, without a periodic forced response
     LONG_PERIOD      a forcing period has more free oscillations than double precision can resolve in phase
     NO_OSCILLATOR    a push at the stop does not open the gap, g.M^-1 g <= 0
@@ -117,7 +119,7 @@ def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]
 
 
 def faults(machines: SingleContactMachines) -> NDArray[np.int8]:
-    """Return the reason against each of N machines that its fields alone show, NO_REASON if there is none.
+    """Return the code (N,) of why a machine is invalid, as far as its fields alone show; NO_REASON if it is valid.
 
     The lower stop must be below the upper one, 0 <= R <= GREATEST_R, and all other fields must be finite.
     """
@@ -130,10 +132,10 @@ def faults(machines: SingleContactMachines) -> NDArray[np.int8]:
 
 
 def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kinds]:
-    """Return the first machine of each kind, and the kind of each machine.
+    """Return the first machine of each kind, and the index of the kind of each machine.
 
-    Machines of a kind differ at most in forcing frequency, phase and restitution. A plane usually has few kinds, and
-    all results that depend on matrices are computed once per kind.
+    Machines of a kind differ at most in forcing frequency, phase and restitution. The machines of a map are usually of
+    few kinds, and all results that depend on matrices are computed once per kind.
     """
     if len(machines.omega) == 1:
         return machines, ...
@@ -144,7 +146,10 @@ def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kind
 
 
 def _of_kind(record: Any, kind: Kinds) -> Any:
-    """Return the record of each machine by copying the record of its kind; ``kind`` has the kind of each machine."""
+    """Return a record with a row for each machine, from ``record`` with a row for each kind of machines.
+
+    ``kind`` has the index of the kind of each machine.
+    """
     return record if isinstance(kind, EllipsisType) else at_rows(record, kind)
 
 
@@ -152,7 +157,10 @@ def _of_kind(record: Any, kind: Kinds) -> Any:
 def _sticking_structure(
     mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
 ) -> ModeStructure:
-    """Return the structure of the mode in which the upper stop holds machines with these fields OF_STRUCTURE."""
+    """Return the equations of motion of machines that stick to their upper stop, apart from the forcing frequency.
+
+    The arguments are the fields OF_STRUCTURE of the machines.
+    """
     none = np.zeros(len(mass))
     machines = SingleContactMachines(
         mass, damping, stiffness, gap_row, force_sin, force_cos, load, none, none, none, none, none
@@ -166,15 +174,16 @@ def _sticking_structure(
 def _sticking(
     machines: SingleContactMachines, structure: FlightStructure, at_rest: RestState, kind: Kinds, omega: Array
 ) -> tuple[HybridModes, dict[int, Mask]]:
-    """Return ``Oscillator.sticking`` of machines of these kinds, and the reasons against it.
+    """Return ``Oscillator.sticking`` of machines of these kinds, and masks (N,) of invalid machines by reason.
 
     machines            the first machine of each kind
-    structure, at_rest  free flight of the kinds
+    structure, at_rest  free flight and rest positions of the kinds
     kind                (N,) kind of each machine
     omega               (N,) forcing frequencies
 
-    States are counted from rest. A load that no rest balances drives a rigid mode. States between impacts are then
-    counted from damped motion under that load, with constant velocities, which ``rest`` of the blocks removes.
+    ``Oscillator.sticking`` has the linear equations of motion while the mass sticks to a stop. States are counted from
+    rest. A load that no rest balances drives a rigid mode. States between impacts are then counted from damped motion
+    under that load, with constant velocities, which ``rest`` of the decoupled equations removes.
     """
     n, moves = machines.gap_row.shape[1], np.any(at_rest.loading.load)
     load, velocities = unbalanced(structure, at_rest, machines) if moves else (np.zeros_like(machines.load), None)

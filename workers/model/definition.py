@@ -31,15 +31,15 @@ class Definition:
 
         M x'' + C x' + K x = load + harmonics + contacts + friction
 
-    let       names for expressions that others use, in the order of their use
+    let       pairs of a name and the expression that it stands for, each before the expressions that use it
     phases    parts of the forcing period with entries of their own
     drift     the coordinate that may drift, empty if there is none
-    measures  outputs that are reported by name
+    measures  outputs of which numbers are reported, by name
     period    the period 2 pi / omega; None if omega is a parameter
 
     The force repeats after ``turns`` periods 2 pi / omega, so its machines have the frequency omega / turns. A machine
-    without a force and phases has neither omega nor tau, see ``natural_period``. Tables have the order of these fields,
-    and digests of curves depend on it.
+    without a force and phases has neither omega nor tau, see ``natural_period``. ``table`` writes the entries in the
+    order of these fields; digests of stored curves depend on this order.
     """
 
     coordinates: tuple[str, ...]
@@ -60,30 +60,33 @@ class Definition:
 
     @property
     def stop(self) -> Contact:
-        """The only contact of a definition with one contact, from which ``machines`` are made."""
+        """The contact of a definition that has exactly one; ``machines`` is for such definitions only."""
         (contact,) = self.contacts
         return contact
 
     @property
     def unforced(self) -> bool:
-        """True if it declares neither a force nor phases, so that its motions do not depend on their starting time."""
+        """True if there is neither a force nor a phase, so that motions do not depend on their starting time."""
         return not self.harmonics and not self.phases
 
     @property
     def is_short_form(self) -> bool:
-        """True if its contact is written as entries of the machine itself: a single rigid contact named STOP."""
+        """True if the only contact is rigid, named STOP, and written in [system] itself, without a table of its own."""
         return len(self.contacts) == 1 and self.stop.rigid and self.stop.name == STOP
 
     @property
     def picture_row(self) -> Row:
-        """Row of the coordinate in pictures: the gap of the first contact, else the first coordinate."""
+        """Weights of the coordinates in the displacement that pictures show.
+
+        It is the gap of the first contact, or the first coordinate if there is no contact.
+        """
         if self.contacts:
             return self.contacts[0].gap
         return tuple(Expression(repr(float(i == 0))) for i in range(len(self.coordinates)))
 
     @np.errstate(all="ignore")
     def picture_rows(self, values: Mapping[str, Array]) -> Array:
-        """Return ``picture_row`` as numbers (N, n) at values (N,) of each parameter."""
+        """Return the weights ``picture_row`` as numbers (N, n), at values (N,) of each parameter."""
         return np.ascontiguousarray(evaluate_entries(self.picture_row, self._named(values))[: _count(values)])
 
     @np.errstate(all="ignore")
@@ -156,7 +159,12 @@ class Definition:
         return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in machines))
 
     def laws(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Contact | Friction | Spring, Array]]:
-        """Yield for each law its entry, its element, and its vertices (N, V, 2) at values (N,) of each parameter."""
+        """Yield (entry, element, vertices) for each piecewise linear force law, at values (N,) of each parameter.
+
+        entry     key of the law in the definition, for error messages
+        element   contact, friction or spring with the law
+        vertices  (N, V, 2) argument and force at the ends of the segments
+        """
         named, count = self._named(values), _count(values)
         for kind in ("contacts", "friction", "springs"):
             for i, element in enumerate(getattr(self, kind)):
@@ -167,26 +175,31 @@ class Definition:
 
     @property
     def fitted(self) -> tuple[Contact | Friction | Spring, ...]:
-        """Elements whose law is an expression; segments replace the expression."""
+        """Contacts, friction and springs whose law is an expression, which the solver replaces by straight segments."""
         every: tuple[Contact | Friction | Spring, ...] = (*self.contacts, *self.friction, *self.springs)
         return tuple(element for element in every if isinstance(element.law, Expression))
 
     def law_use(
         self, element: Contact | Friction | Spring, values: Mapping[str, Array], low: Array, high: Array
     ) -> tuple[Array, Array]:
-        """Return how far a law that is an expression was used, at values (N,) of each parameter: see ``laws.law_use``.
+        """Return how far motions used the range of a law that is an expression, and the error bound of its segments.
 
-        The motions had arguments between ``low`` and ``high`` (N,).
+        element    contact, friction or spring with the law
+        values     values (N,) of each parameter
+        low, high  (N,) least and greatest argument of the law during the motions
+
+        The two results (N,) are those of ``laws.law_use``.
         """
         named = {name: value[: len(low)] for name, value in self._named(values).items()}
         return laws.law_use(element, named, low, high)
 
     @np.errstate(all="ignore")
     def outputs(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """Return the rows of M measures for values (N,) of each parameter, with their derivatives and weights.
+        """Return (rows, orders, weights) of the M measures, the outputs to report, at values (N,) of each parameter.
 
-        The rows (N, M, n) act on the derivatives (N, M), given by their index in ORDERS. The weights (N, M) are NaN if
-        a measure has none.
+        rows     (N, M, n) weights of the coordinates in each output
+        orders   (N, M) derivative of the displacements on which a row acts, as an index in ORDERS
+        weights  (N, M) factor of the power of an output, NaN for an output without one
         """
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         every = [measure for _, measure in self.measures]
@@ -206,9 +219,10 @@ class Definition:
         return np.asarray(2.0 * np.pi / self.period({OMEGA: next(iter(values.values()))} | dict(values)))
 
     def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
-        """Return these values (N,) and the values of all names in ``let``; a single value is doubled.
+        """Return the values (N,) of all parameters and of all names in ``let``; a single value is doubled, N = 2.
 
-        numpy computes powers of a single number differently, so its last bits would depend on the number of cells.
+        numpy computes powers of a single number differently, so its last bits would depend on the number of cells. A
+        machine without a force has tau = 0 and its natural frequency as omega, unless they are given.
         """
         alone = _count(values) == 1
         named = {name: value.repeat(2) if alone else value for name, value in values.items()}
@@ -225,7 +239,7 @@ class Definition:
 
     @property
     def used(self) -> set[str]:
-        """Names used by the motion or by a measure; names in ``let`` are included if they are used."""
+        """Names of parameters and of expressions in ``let`` that the motion or a measure uses."""
         return self._used_outside("let")
 
     def _used_outside(self, *left_out: str) -> set[str]:
@@ -245,13 +259,13 @@ class Definition:
 
     @np.errstate(all="ignore")
     def forcing(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Return forcing frequency and phase (N,) of a period of the machines at values (N,) of each parameter."""
+        """Return frequency omega / turns and phase tau / turns (N,) of the whole force at values (N,) of parameters."""
         named, count = self._named(values), _count(values)
         return named[OMEGA][:count] / self.turns, named[TAU][:count] / self.turns
 
     @property
     def _entries(self) -> dict[str, Any]:
-        """Expressions or numbers of each field of machines, except the force."""
+        """Expressions or numbers of the fields of SingleContactMachines by name, without the force's amplitudes."""
         lower, upper = stops(self.stop)
         return {
             **{name: getattr(self, name) for name in (*MATRICES, "load")},
@@ -261,12 +275,12 @@ class Definition:
 
     @cached_property
     def turns(self) -> int:
-        """Number of periods 2 pi / omega in one period of the machine."""
+        """Number of periods 2 pi / omega after which the whole force repeats: the period of the machine."""
         return turns_of(harmonic.order for harmonic in self.harmonics)
 
     @cached_property
     def highest(self) -> int:
-        """Highest order of the force, as a multiple of the frequency omega / turns of the machine."""
+        """Highest order of the force's harmonics, in multiples of the frequency omega / turns of the machine."""
         first = not self.harmonics or any(phase.force or phase.cosine for phase in self.phases)
         return int(self.turns * max([Fraction(first), *(harmonic.order for harmonic in self.harmonics)]))
 
@@ -303,7 +317,7 @@ def _count(values: Mapping[str, Array]) -> int:
 
 
 def _names(entries: Any) -> set[str]:
-    """Return the names used by these expressions."""
+    """Return the names used by an expression, or by all expressions in nested tuples, mappings and dataclasses."""
     if isinstance(entries, Expression):
         return entries.names
     if isinstance(entries, Mapping):
@@ -314,9 +328,10 @@ def _names(entries: Any) -> set[str]:
 
 
 def _written(entries: Any) -> Any:
-    """Return entries as in a TOML file.
+    """Return entries of a definition in the form of a TOML file.
 
-    Records, and pairs of a name and an entry, become tables without empty entries.
+    An entry is an expression, or a dataclass or tuple of expressions. A dataclass, or a tuple of pairs of a name and an
+    entry, becomes a table. Empty entries of a dataclass are left out.
     """
     if isinstance(entries, Expression):
         return entries.text if entries.constant is None else entries.constant

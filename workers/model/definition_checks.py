@@ -26,9 +26,9 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
 
     The period is above 0. M is invertible. Phases begin in order within the period. For contacts 0 <= R <= GREATEST_R;
     stiffness and preload are not negative, nor is the damping of a contact released by force; the lower stop is below
-    the upper one. For friction 0 <= kinetic <= static. Rows are nonzero. They are independent if they can stick
-    together, and a force along a row moves it that way. Contacts see every free motion, K x = 0, except the motion of a
-    coordinate that may drift, which nothing ties down.
+    the upper one. For friction 0 <= kinetic <= static. Rows, the weights of the coordinates at contacts and friction,
+    are nonzero. They are independent if they can stick together, and a force along a row moves it that way. Contacts
+    see every free motion, K x = 0, except the motion of a coordinate that may drift, which nothing ties down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
     if definition.period:
@@ -75,7 +75,7 @@ def _contact(definition: Definition, c: int) -> str:
 
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
-    """Return the entry that counts in phase p: the phase's own, or that of the whole machine."""
+    """Return the key of the definition whose value counts in phase p: the phase's, or that of the whole machine."""
     overridden = definition.phases and getattr(definition.phases[p], key) is not None
     return f"system.phases[{p}].{key}" if overridden else f"system.{key}"
 
@@ -217,9 +217,9 @@ def _check_starts(starts: Array) -> None:
 
 
 def _check_independent(named: list[str], rows: Array) -> None:
-    """Raise DefinitionError if rows that can stick together depend on each other.
+    """Raise DefinitionError if rows, weights of coordinates that can stick together, are linearly dependent.
 
-    named  entries of the rows
+    named  keys of the definition that give the rows
     rows   (1, R, n) rows of rigid contacts and friction, zeros for other elements
     """
     for k, where in enumerate(named):
@@ -255,9 +255,10 @@ def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
 
 
 def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
-    """Raise DefinitionError unless contacts and drift see each free motion.
+    """Raise DefinitionError unless each free motion, K x = 0, changes a gap or is that of the drifting coordinate.
 
-    Two motions seen by one gap combine to a motion that leaves y unchanged.
+    ``stiffness`` (n, n) is K, and ``where`` its key in the definition. Two motions that change the same gap combine to
+    a motion that leaves the gap unchanged.
     """
     with np.errstate(all="ignore"):
         free, over_mass = _free_motions(machine.mass, stiffness)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from workers.model.expression import Expression, Matrix, Row
 
 STOP = "stop"
-"""Name of the contact that is written as entries of the machine itself."""
+"""Name of the contact whose entries stand in the table [system] itself, not in a table of contacts."""
 
 NO_STOP = {"upper": math.inf, "lower": -math.inf}
 
@@ -14,19 +14,19 @@ RELEASES = ("displacement", "force")
 """Release of a soft contact: at its stop, or at the point where its force would begin to pull."""
 
 PAD = ("stiffness", "damping", "preload")
-"""Constants of a soft contact that phases may change."""
+"""Constants of a soft contact's force that phases may change."""
 
 RUB = ("kinetic", "static", "slope")
-"""Constants of friction that phases may change."""
+"""Constants of a friction force that phases may change."""
 
 LAW = ("law", "within", "range")
-"""Keys of a law: a table, or an expression of its variable with a bound and a range."""
+"""Keys of a force law: the law, a table or an expression; then the error bound and the range of an expression."""
 
 SegmentsOf = tuple[Row, ...] | Expression
 """A law as a table [[argument, force], ...] or as an expression of its argument."""
 
 Changes = tuple[tuple[str, tuple[tuple[str, Expression], ...]], ...]
-"""Constants changed by a phase, by the names of the element and of the constant."""
+"""Constants changed by a phase: pairs of an element's name and of (name of the constant, expression) pairs."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Contact:
     """A contact with one or two stops on y = gap . x, lower <= y <= upper; a stop that is None does not exist.
 
     A rigid contact has a restitution R and turns y' into -R y'. A soft contact has none. At depth delta >= 0 beyond its
-    stop it pushes back along the gap row with the force preload + stiffness delta + damping delta'. Released by
-    "displacement", it pushes while delta > 0, and its damping may be negative; released by "force", only while this
-    force is positive. A law replaces preload + stiffness delta by law(delta), see laws.py.
+    stop it pushes back along the row ``gap``, the weights of the coordinates, with the force preload + stiffness delta
+    + damping delta'. Released by "displacement", it pushes while delta > 0, and its damping may be negative; released
+    by "force", only while this force is positive. A law replaces preload + stiffness delta by law(delta), see laws.py.
     """
 
     name: str
@@ -54,12 +54,12 @@ class Contact:
 
     @property
     def rigid(self) -> bool:
-        """True if it has a restitution."""
+        """True if the contact is rigid, which means that it has a coefficient of restitution."""
         return self.restitution is not None
 
     @property
     def stops(self) -> int:
-        """Number of stops."""
+        """Number of stops of the contact, 1 or 2."""
         return (self.upper is not None) + (self.lower is not None)
 
 
@@ -67,9 +67,9 @@ class Contact:
 class Friction:
     """Dry friction on the sliding velocity v = row . x' - belt.
 
-    While sliding, friction resists with the force kinetic + slope |v| along the row, or with law(|v|), see laws.py. It
-    sticks, v = 0, while the force needed is at most ``static``, by default kinetic or law(0). With ``law_back`` v < 0
-    has a law, and by default a static level, of its own.
+    While sliding, friction resists with the force kinetic + slope |v| along ``row``, the weights of the velocities, or
+    with law(|v|), see laws.py. It sticks, v = 0, while the force needed is at most ``static``, by default kinetic or
+    law(0). With ``law_back`` v < 0 has a law, and by default a static level, of its own.
     """
 
     name: str
@@ -91,7 +91,10 @@ class Friction:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring on y = row . x that pulls back along its row with the force law(y) at any y, see laws.py."""
+    """A spring on y = row . x that pulls back with the force law(y) at any y, see laws.py.
+
+    ``row`` has the weights of the coordinates x, along which the force acts.
+    """
 
     name: str
     row: Row
@@ -104,8 +107,9 @@ class Spring:
 class Phase:
     """A part of each forcing period, from ``start`` to the start of the next phase.
 
-    ``start`` is a share of 2 pi / omega, counted from the section. The entries of a phase replace those of the machine.
-    Its force and cosine replace those of the first harmonic of order 1, with the same phase angles.
+    ``start`` is a share of 2 pi / omega, counted from the section, the instants t = k T of the forcing period T. The
+    entries of a phase replace those of the machine. The force and cosine of a phase replace those of the first harmonic
+    of order 1, with the same phase angles.
     """
 
     start: Expression
@@ -123,18 +127,21 @@ ALWAYS = (Phase(Expression("0.0")),)
 
 
 def in_phase(element: Contact | Friction, changes: Changes, key: str) -> Expression | None:
-    """Return a constant of an element in a phase with these changes."""
+    """Return an element's constant ``key`` in a phase that makes ``changes``; None if it has no such constant."""
     changed = dict(dict(changes).get(element.name, ()))
     return changed[key] if key in changed else getattr(element, key)
 
 
 def pad(contact: Contact, changes: Changes) -> tuple[Expression | float, ...]:
-    """Return stiffness, damping and preload of a contact in a phase; zeros for a rigid contact."""
+    """Return stiffness, damping and preload of a contact in a phase that makes ``changes``; zeros if it is rigid."""
     return tuple(in_phase(contact, changes, key) or 0.0 for key in PAD)
 
 
 def rub(friction: Friction, changes: Changes) -> tuple[Expression | float, ...]:
-    """Return kinetic level, static level and slope of friction in a phase; NaN for levels given by its law."""
+    """Return kinetic level, static level and slope of friction in a phase that makes ``changes``.
+
+    Levels that are given by a force law are NaN.
+    """
     kinetic, static, slope = (in_phase(friction, changes, key) for key in RUB)
     return kinetic or math.nan, static or kinetic or math.nan, slope or 0.0
 

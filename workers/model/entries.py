@@ -22,7 +22,7 @@ class DefinitionError(ValueError):
 
 
 def read_entries(where: str, value: object, known: Collection[str], *shape: int) -> Any:
-    """Return the expression given by a number or a text, or a row or matrix of them from lists.
+    """Return the expression of an entry, a number or a text; for an entry of lists, a row or matrix of expressions.
 
     where  name of the entry in error messages
     value  the entry
@@ -48,7 +48,7 @@ def read_text(where: str, value: object) -> str:
 
 
 def read_words(where: str, value: object) -> str:
-    """Return the value, printable words on one line, which can stand beside a formula."""
+    """Return the value, printable words on one line that can stand beside a formula; else raise DefinitionError."""
     text = read_text(where, value)
     if not text.isprintable() or "$" in text or len(text) > 200:
         raise fault(where, value, "must be one line of at most 200 characters without a dollar")
@@ -103,7 +103,7 @@ def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping
 
 
 def read_tables(where: str, value: object) -> dict[str, object]:
-    """Return the tables [[where]] of a list, by their names in error messages."""
+    """Return the tables of a list [[where]], each under the name that error messages give it, such as ``where[0]``."""
     if not isinstance(value, list):
         raise fault(where, value, f"must be tables [[{where}]]")
     return {f"{where}[{i}]": one for i, one in enumerate(value)}
@@ -121,7 +121,7 @@ def read_list(
 
 
 def read_names(where: str, value: object) -> tuple[str, ...]:
-    """Return the value, a list of names."""
+    """Return the value, a list of names, as a tuple; raise DefinitionError for any other value or an invalid name."""
     if not isinstance(value, list | tuple):
         raise fault(where, value, "must be a list of names")
     for i, name in enumerate(value):

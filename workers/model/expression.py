@@ -72,10 +72,10 @@ class Expression:
         return _constant(_tree(self.text))
 
     def __call__(self, values: Mapping[str, Array]) -> Array:
-        """Return the values (N,) at values (N,) of each name, ``omega`` included.
+        """Return the values (N,) of the expression at values (N,) of each name, which must include ``omega``.
 
-        Division by zero or a root of a negative number gives infinity or NaN, as in numpy. Elements do not depend on
-        each other.
+        Division by zero or a root of a negative number gives infinity or NaN, as in numpy. Each of the N results
+        depends on its own values only.
         """
         return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
 
@@ -85,7 +85,10 @@ Matrix = tuple[Row, ...]
 
 
 def evaluate_entries(entries: Any, named: Mapping[str, Array]) -> Array:
-    """Return the values of an expression (N,), or of a row (N, n) or matrix (N, n, n) of expressions and numbers."""
+    """Return the values of an expression (N,), or of a row (N, n) or matrix (N, n, n) of expressions and numbers.
+
+    ``named`` has values (N,) by name.
+    """
     if isinstance(entries, Expression):
         return entries(named)
     numbers, others = (_kept if isinstance(entries, tuple) else _sorted)(entries)
@@ -97,7 +100,10 @@ def evaluate_entries(entries: Any, named: Mapping[str, Array]) -> Array:
 
 
 def _sorted(entries: Any) -> tuple[Array, list[tuple[Any, Expression]]]:
-    """Return the numbers among entries, zero elsewhere, and the expressions with names, each with its index."""
+    """Return (numbers, others): the numbers of a row or matrix, and its expressions with names, each with its index.
+
+    The numbers are zero where there is an expression with names or operations.
+    """
     grid = np.array(entries, dtype=object)
     numbers, others = np.zeros(grid.shape), []
     for index, entry in np.ndenumerate(grid):
@@ -229,7 +235,7 @@ def _check_order(tokens: list[str]) -> None:
 
 
 def _unknown(name: str, known: list[str]) -> str:
-    """Return one line for an unknown name: the nearest known name, or the valid forms of an entry."""
+    """Return the one-line error message for an unknown name: the nearest known name, or what an entry may contain."""
     if name not in _TIME and near_name(name, known):
         return unknown_name("name", name, known)
     force = "; a force is an amplitude, which sin(omega t + tau) multiplies by itself" if name in _TIME else ""

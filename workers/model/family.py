@@ -1,4 +1,4 @@
-"""Machines over a few free parameters, whose modes are built at first use and shared."""
+"""Machines over a few free parameters, with their modes: linear equations between events, built at first use."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -26,13 +26,15 @@ class OrbitMachines:
     """N machines of n coordinates and their modes, each built at its first use.
 
     omega     (N,) forcing frequency
-    tau       (N,) forcing phase at a section
+    tau       (N,) forcing phase at a section t = k T, T the forcing period
     elements  contacts and friction
     rest      (N, 2n) physical state from which states and stops are counted
     make      function that builds a mode of all N machines
-    describe  function that returns the machines as numbers, also counted from rest
-    build     function that returns their record for the kernels of cells
+    describe  function that returns the matrices, contacts and friction of the machines, counted from rest
+    build     function that returns the machines in the form for the compiled kernels of cells
     known     modes built so far
+
+    A mode is a set of linear equations of motion between two events.
     """
 
     omega: Array
@@ -45,23 +47,26 @@ class OrbitMachines:
     known: dict[ModeCode, HybridModes] = field(default_factory=dict)
 
     def mode(self, code: ModeCode) -> HybridModes:
-        """Return a mode of all machines; raise NoOscillatorError if it does not exist."""
+        """Return the mode ``code``, a set of linear equations between events, of all machines.
+
+        Raise NoOscillatorError if the mode does not exist.
+        """
         if code not in self.known:
             self.known[code] = self.make(code)
         return self.known[code]
 
     @cached_property
     def machines(self) -> HybridMachines:
-        """The machines as numbers."""
+        """Matrices, force, contacts and friction of the machines as arrays."""
         return self.describe()
 
     @cached_property
     def oscillators(self) -> Oscillator:
-        """The machines as records for the kernels of cells."""
+        """The machines in the form for the compiled kernels of cells."""
         return self.build()
 
     def at_rows(self, rows: Rows) -> "OrbitMachines":
-        """Return these rows, in this order; they share the modes of the whole."""
+        """Return the machines of these rows, in this order; they share the modes, the linear equations, of all."""
         return OrbitMachines(
             self.omega[rows], self.tau[rows], at_rows(self.elements, rows), self.rest[rows],
             lambda code: at_rows(self.mode(code), rows), lambda: at_rows(self.machines, rows),
@@ -80,20 +85,24 @@ class OrbitMachines:
 
 
 def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> Callable[[Array], Any]:
-    """Return a function from rows of values (N, free) to machines and the reason against each.
+    """Return a function that takes values (N, free) and returns N machines and codes (N,) of why one is invalid.
 
-    The parameters besides ``free`` are fixed.
+    system  the system of the machines
+    fixed   values of other parameters by name; the rest have their defaults
+    free    names of the parameters that vary
+
+    The code of a valid machine is NO_REASON.
     """
     return _MachineFactory(system, fixed, free)
 
 
 def with_modes(machines: HybridMachines) -> OrbitMachines:
-    """Return machines of any law with their modes."""
+    """Return machines with their modes, the linear equations between events, which are built at their first use."""
     return _MachineParts(machines, np.zeros((len(machines.omega), machines.dimension))).at(machines.omega, machines.tau)
 
 
 class _MachineParts:
-    """The properties of machines, counted from ``rest`` (N, 2n), that do not depend on forcing frequency and phase."""
+    """Machines apart from forcing frequency and phase; their states are counted from ``rest`` (N, 2n)."""
 
     def __init__(self, machines: HybridMachines, rest: Array) -> None:
         self.machines, self.rest = machines, rest
@@ -101,7 +110,7 @@ class _MachineParts:
 
     @cached_property
     def reasons(self) -> NDArray[np.int8]:
-        """Reason against each machine, see hybrid_faults."""
+        """Code (N,) of the reason why each machine is invalid, NO_REASON if it is valid, see hybrid_faults."""
         return hybrid_faults(self.machines)
 
     @cached_property
@@ -125,7 +134,7 @@ class _MachineParts:
 
 
 class _MachineFactory:
-    """Machines of a system over some of its parameters, with the others fixed."""
+    """Function object that makes machines of a system from values of its free parameters; the others are fixed."""
 
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         self.system, self.free = system, free
@@ -135,7 +144,7 @@ class _MachineFactory:
 
     @np.errstate(all="ignore")
     def __call__(self, rows: Array) -> tuple[OrbitMachines, NDArray[np.int8]]:
-        """Return the machines of rows of values (N, free), and the reason against each."""
+        """Return the machines at values ``rows`` (N, free), and codes (N,) of why one is invalid, NO_REASON if none."""
         definition = self.system.definition
         values = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
         values |= {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
@@ -148,10 +157,10 @@ class _MachineFactory:
         return machines, self.system.out_of_range(values, reasons)
 
     def from_rest(self, values: Mapping[str, Array]) -> tuple[HybridMachines, Array]:
-        """Return the machines at values (N,) of each parameter, and ``rest`` (N, 2n), from which they are counted.
+        """Return machines with stops counted from a rest position, and the state of rest (N, 2n).
 
-        Only machines with one rigid contact have a rest. Counting from a rest far from the origin would cost digits,
-        and hide that a motion is its own mirror image.
+        ``values`` (N,) are those of each parameter. Machines with more elements than one rigid contact are counted from
+        0. Counting from a rest far from the origin would cost digits, and hide that a motion is its own mirror image.
         """
         definition = self.system.definition
         if self.system.has_modes:

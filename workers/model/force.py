@@ -13,7 +13,7 @@ from workers.model.parameter import OMEGA
 
 
 class Harmonic(NamedTuple):
-    """A harmonic of the force, with entries for each coordinate; an empty cosine is zero.
+    """A harmonic of the force, with amplitudes and phase angles for each coordinate; an empty cosine is zero.
 
     force sin(order (omega t + tau) + phase) + cosine cos(order (omega t + tau) + phase)
     """

@@ -25,12 +25,12 @@ from workers.model.oscillator import (
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
 UNSEEN = 1e-9
-"""Share of a rigid mode or of a growing motion in the gap coordinate below which the gap does not see it. The share is
-relative to its largest possible value.
-"""
+"""Share of a rigid or growing motion in the gap coordinate below which the motion counts as leaving the gap unchanged.
+The share is relative to its largest possible value."""
 
 OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
-"""Fields of machines that decide their structure and their loading."""
+"""Fields of SingleContactMachines that decide everything about free flight except the effect of the forcing frequency.
+"""
 
 RESONANT = 1e-8
 """Share of its terms below which the dynamic stiffness at the forcing frequency counts as resonance. The forced
@@ -44,11 +44,11 @@ ULPS = 8.0
 class BlockFlow(NamedTuple):
     """Linear motion of N machines without a force, as decoupled equations of motion, the blocks.
 
-    modes         blocks of the matrices
+    modes         decoupled equations for the matrices
     inverse_mass  (N, n, n) M^-1
     blocks        (N, n, columns) constants of the blocks, see Block, without a load, with the metric of elastic blocks
 
-    Mass, damping, stiffness and the row of the guard, the signal that ends the motion, decide all fields.
+    Mass, damping, stiffness and the weights of the guard, the displacement that ends the motion, decide all fields.
     """
 
     modes: BlockDecomposition
@@ -57,10 +57,10 @@ class BlockFlow(NamedTuple):
 
 
 class BlockLoading(NamedTuple):
-    """Effect of force and load on the blocks of N machines, for any forcing frequency.
+    """Effect of force and load on the decoupled equations, the blocks, of N machines, for any forcing frequency.
 
-    waves       (N, H, n, 2) complex amplitudes of e^(i k phi) in (h, h')'
-    load, rest  (N, n), (N, n, 2) see oscillator.Block
+    waves       (N, H, n, 2) complex amplitudes of e^(i k phi) that the force adds to d/dt (h, h')
+    load, rest  (N, n), (N, n, 2) load of rigid motions, and (h, h') at rest, see oscillator.Block
     """
 
     waves: Any
@@ -69,12 +69,12 @@ class BlockLoading(NamedTuple):
 
 
 class FlightStructure(NamedTuple):
-    """Free flight of N machines, as far as matrices, force and load decide it.
+    """The part of the free flight of N machines that does not depend on the forcing frequency.
 
-    flow, loading     flow of the blocks, and their loading
+    flow, loading     decoupled equations of motion, and the effect of force and load on them
     accelerance       (N, n) M^-1 g of the gap row g
     inverse_gap_mass  (N,) g.M^-1 g
-    unheld            (N,) see grows_unseen
+    unheld            (N,) mask of machines with a growing motion that leaves the gap unchanged, see grows_unseen
     """
 
     flow: BlockFlow
@@ -84,16 +84,16 @@ class FlightStructure(NamedTuple):
     unheld: Mask
 
     def gap(self, blocks: Array) -> Array:
-        """Return y (N,) at these coordinates of blocks (N, n, 2)."""
+        """Return the gap coordinate y (N,) at states ``blocks`` (N, n, 2) of the decoupled equations."""
         return np.asarray(np.sum(self.flow.blocks[..., COLUMN.c0 : COLUMN.c1 + 1] * blocks, axis=(1, 2)))
 
 
 class RestState(NamedTuple):
-    """Rest of N machines.
+    """The rest positions of N machines, from which their states are counted.
 
-    loading           loading with rest positions midway between the stops for balanced machines
+    loading           effect of force and load, with rest positions midway between the stops for balanced machines
     b_upper, b_lower  (N,) the gaps to the stops at rest
-    unseen            (N,) mask of machines with a rigid mode that the gap does not see
+    unseen            (N,) mask of machines with a rigid mode that leaves the gap unchanged
     """
 
     loading: BlockLoading
@@ -103,9 +103,10 @@ class RestState(NamedTuple):
 
 
 def structure_of(machines: SingleContactMachines) -> FlightStructure:
-    """Return the structure of machines.
+    """Return the part of the free flight of machines that does not depend on the forcing frequency.
 
-    The guard is the gap coordinate. The kick on the velocities is M^-1 g / (g.M^-1 g).
+    The guard, the number whose ends of range end the flight, is the gap coordinate. An impact moves the velocities
+    along M^-1 g / (g.M^-1 g), with g the gap row.
     """
     return _structure_of(*(getattr(machines, name) for name in OF_STRUCTURE))
 
@@ -114,7 +115,7 @@ def structure_of(machines: SingleContactMachines) -> FlightStructure:
 def _structure_of(
     mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
 ) -> FlightStructure:
-    """Return the structure of machines with these fields OF_STRUCTURE."""
+    """Return ``structure_of`` for machines with these fields OF_STRUCTURE."""
     accelerance = apply_stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
     inverse_gap_mass = np.vecdot(gap_row, accelerance)
     none = np.zeros_like(gap_row)
@@ -127,14 +128,14 @@ def _structure_of(
 
 
 def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
-    """Return the mask (N,) of machines in which a growing motion is invisible to all rows on (x, x').
+    """Return the mask (N,) of machines with a growing motion that leaves given displacements and velocities unchanged.
 
-    blocks       (N, n, columns) see Block
-    to_physical  (N, 2n, 2n) (x, x') of block coordinates
-    rows         (N, R, 2n) rows on (x, x')
+    blocks       (N, n, columns) decoupled equations, see Block
+    to_physical  (N, 2n, 2n) (x, x') of states of the decoupled equations
+    rows         (N, R, 2n) weights of (x, x') in each displacement or velocity
 
-    The motion is h = e^(r s), h' = r h in one block. A row sees it if the sum of its terms is not small beside the sum
-    of their moduli.
+    The motion is h = e^(r s), h' = r h in one decoupled equation. A sum weighted by a row changes with it unless the
+    sum is small beside that of the moduli of its terms.
     """
     N, n = blocks.shape[:2]
     rates = rates_of(blocks)
@@ -152,10 +153,10 @@ def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> BlockFlow:
-    """Return the flow of matrices (N, n, n).
+    """Return the decoupled equations of motion, without force and load, for matrices (N, n, n).
 
-    row   (N, 2n) the guard's row on displacements and velocities
-    kick  (N, 2n) direction of a reset
+    row   (N, 2n) weights of displacements and velocities in the guard, the signal that ends the motion
+    kick  (N, 2n) direction in which a reset, such as an impact, moves displacements and velocities
     """
     modes, shape = split(mass, damping, stiffness), (*mass.shape[:2], 2)
     c = times(row, modes.to_physical).reshape(shape)
@@ -168,7 +169,7 @@ def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Arr
 
 
 def loading_of(flow: BlockFlow, force: Any, load: Array) -> BlockLoading:
-    """Return the loading of blocks by force (N, H, n) and load (N, n).
+    """Return the effect of a force (N, H, n) and of a constant load (N, n) on the decoupled equations ``flow``.
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
@@ -184,11 +185,13 @@ def loading_of(flow: BlockFlow, force: Any, load: Array) -> BlockLoading:
 
 
 def mode_of(flow: BlockFlow, loading: BlockLoading, omega: Array, direct: Any = 0.0) -> tuple[GuardedFlow, Mask]:
-    """Return the free flight of N machines as a mode with its guard, and the mask (N,) of undamped resonance.
+    """Return the linear equations of free flight of N machines, with their guard, and a mask (N,) of resonance.
 
     flow, loading  the decoupled equations of motion, and the force on them, see BlockFlow and BlockLoading
     omega          (N,) forcing frequencies
     direct         (N, H) complex amplitudes of e^(i k phi) that the guard has besides c . blocks
+
+    The guard is the number whose ends of range end the flight. Resonance is undamped.
     """
     N, H, n = loading.waves.shape[:3]
     w = omega[:, None] * np.arange(1.0, H + 1.0)
@@ -210,7 +213,7 @@ def mode_of(flow: BlockFlow, loading: BlockLoading, omega: Array, direct: Any = 
 
 
 def sizes_of(waves: Array, w: Array) -> Array:
-    """Return the columns of ForcedBounds (..., 5) of forced parts at some frequencies.
+    """Return bounds (..., 5), see ForcedBounds, of sums of harmonics and of their derivatives.
 
     waves  (..., H, 2) sine and cosine parts
     w      (..., H) frequencies, multiples of the first one
@@ -223,9 +226,9 @@ def sizes_of(waves: Array, w: Array) -> Array:
 
 
 def _response(modes: BlockDecomposition, waves: Any, frequencies: Array) -> tuple[Array, Mask]:
-    """Return the forced response (N, n, 2, H, 2) of blocks, and the mask (N,) of resonance.
+    """Return the forced response (N, n, 2, H, 2) of decoupled equations, and the mask (N,) of resonance.
 
-    modes        blocks
+    modes        the decoupled equations
     waves        (N, H, n, 2) complex amplitudes of the loading
     frequencies  (N, H)
 
@@ -248,9 +251,9 @@ def _response(modes: BlockDecomposition, waves: Any, frequencies: Array) -> tupl
 
 
 def against(modes: BlockDecomposition, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
-    """Return the reasons against motion in these modes, the weightiest last, each with a mask (N,) of machines.
+    """Return masks (N,) of machines whose motion cannot be solved, by code of the reason, the weightiest one last.
 
-    modes     blocks
+    modes     decoupled equations of the machines
     resonant  (N,) mask of undamped resonance
     rigid     (N,) mask of machines with an invalid rigid mode
     """
@@ -258,7 +261,10 @@ def against(modes: BlockDecomposition, resonant: Mask, rigid: Mask) -> dict[int,
 
 
 def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) -> tuple[GuardedFlow, dict[int, Mask]]:
-    """Return the free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
+    """Return the free flight of machines at forcing frequencies (N,), and masks of machines that cannot be solved.
+
+    The masks (N,) are given by the code of the reason, see ``against``.
+    """
     modes = structure.flow.modes
     gap, resonant = mode_of(structure.flow, at_rest.loading, omega)
     too_long = {LONG_PERIOD: turns_too_far(gap.d, gap.w, omega)}
@@ -267,25 +273,25 @@ def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) ->
 
 
 def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:
-    """Return the mask (N,) of machines whose phase in a block is lost by rounding.
+    """Return the mask (N,) of machines with an oscillation so fast that rounding loses its phase in a forcing period.
 
-    d, w   (N, n) see Block
+    d, w   (N, n) constants of the decoupled equations, see Block
     omega  (N,) forcing frequencies
 
-    Such a block turns by more than LARGEST_ANGLE in a forcing period.
+    Such an oscillation turns by more than LARGEST_ANGLE in a forcing period.
     """
     turns = np.where(d > 0.0, w, 0.0) * (2.0 * np.pi / omega)[:, None]
     return np.asarray(np.max(turns, axis=1) > LARGEST_ANGLE)
 
 
 def phase_of(tau: Array) -> Array:
-    """Return the forcing phase at a section, between -pi and pi."""
+    """Return the forcing phase ``tau`` reduced by whole turns to the interval from -pi to pi."""
     phase = np.fmod(tau, 2.0 * np.pi)
     return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
 
 
 def centred(structure: FlightStructure, machines: SingleContactMachines) -> RestState:
-    """Return the rest of machines of this structure; balanced machines rest midway between their stops.
+    """Return the rest positions of machines with this free flight; balanced machines rest midway between their stops.
 
     The position of a rigid mode is counted from midway between the stops, or from the only stop.
     """
@@ -315,10 +321,10 @@ def centred(structure: FlightStructure, machines: SingleContactMachines) -> Rest
 
 
 def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleContactMachines) -> tuple[Array, Array]:
-    """Return the load that no rest balances, and the velocities of the motion under it.
+    """Return the part of the load that no rest position balances, and the velocities of the motion under this part.
 
-    The load (N, n) drives a rigid mode. The constant velocities (N, n) belong to the damped motion from which the
-    blocks of flight are counted.
+    The load (N, n) drives a rigid mode. The constant velocities (N, n) belong to the damped motion from which states of
+    flight are counted.
     """
     n, modes = machines.gap_row.shape[1], structure.flow.modes
     drift = (modes.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
@@ -333,7 +339,7 @@ def balanced(machines: SingleContactMachines) -> Mask:
 
         K x + f g = load,  g . x = m
 
-    f| is then at most its change by ULPS of each entry. With K v + s g = 0 and g . v = 1 the change is
+    The modulus of f is then at most its change by ULPS of each entry. With K v + s g = 0 and g . v = 1 the change is
 
         |v| . (|load| + |K| |x|) + |s| (|g| . |x| + |upper| + |lower|)
     """
@@ -362,7 +368,7 @@ def balanced(machines: SingleContactMachines) -> Mask:
 
 
 def finite(record: Any) -> Mask:
-    """Return the mask (N,) of the records that hold finite numbers only."""
+    """Return the mask (N,) of N items whose numbers are all finite; ``record`` has arrays with a row for each item."""
     arrays = arrays_in(record)
     if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
         return np.ones(len(arrays[0]), dtype=np.bool_)
@@ -370,13 +376,13 @@ def finite(record: Any) -> Mask:
 
 
 def numbers_of(record: Any) -> Array:
-    """Return all numbers of N records, one row (N, .) each."""
+    """Return all numbers of N items as one array, a row (N, .) for each; ``record`` has arrays with N rows."""
     rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
     return np.concatenate(rows, axis=1)
 
 
 def arrays_in(record: Any) -> list[Array]:
-    """Return the arrays of a record and of the records in it."""
+    """Return all arrays of a record, a named tuple of arrays and further records."""
     arrays = list[Array]()
     for field in record:
         if isinstance(field, tuple):
@@ -387,18 +393,21 @@ def arrays_in(record: Any) -> list[Array]:
 
 
 def derivative(row: Array, modes: BlockDecomposition) -> Array:
-    """Return the row of the time derivative of ``row``, see ``derivative_of``.
+    """Return the weights of (h, h') in the time derivative of a signal with weights ``row``, see ``derivative_of``.
 
-    ``modes`` has the decoupled equations of motion on whose states the rows act.
+    ``modes`` has the decoupled equations of motion on whose states the weights act.
     """
     return derivative_of(row, modes.eta, modes.lam)
 
 
 def derivative_of(row: Array, eta: Array, lam: Array) -> Array:
-    """Return row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
+    """Return the weights (..., 2) of (h, h') in the time derivative of a signal r1 h + r2 h', ``row`` being (r1, r2).
+
+    d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h' for h'' + 2 eta h' + lam h = 0.
+    """
     return np.stack([-lam * row[..., 1], row[..., 0] - 2.0 * eta * row[..., 1]], axis=-1)
 
 
 def times(row: Array, matrix: Array) -> Array:
-    """Return row @ matrix, for N of each."""
+    """Return row @ matrix for each of N rows (N, n) and matrices (N, n, m)."""
     return np.asarray((row[:, None, :] @ matrix)[:, 0])

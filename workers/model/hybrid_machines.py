@@ -1,4 +1,4 @@
-"""Hybrid machines as numbers: contacts, friction and phases at given parameters."""
+"""Hybrid machines as arrays of numbers: matrices, force, contacts, friction and phases at given parameters."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -16,10 +16,10 @@ GREATEST_R = 2.0
 """Maximum coefficient of restitution; above 1 a stop feeds in energy."""
 
 INDEPENDENT = 1e-12
-"""Minimum singular value of independent rows of length 1."""
+"""Minimum singular value of independent rows, the weights of the coordinates scaled to length 1."""
 
 PARALLEL = 1e-12
-"""Relative deviation up to which a row counts as a multiple of another."""
+"""Relative deviation up to which a row, the weights of the coordinates, counts as a multiple of another row."""
 
 HALFWAY = 1e-12
 """Deviation from half a forcing period, as a share of a period, up to which two phases count as half a period apart."""
@@ -35,23 +35,23 @@ class HybridMachines(NamedTuple):
     damping, stiffness    (N, P, n, n) matrices of each phase
     load                  (N, P, n) load of each phase
     force_sin, force_cos  (N, P, H, n) amplitudes of the force of each phase
-    omega, tau            (N,) forcing frequency, forcing phase at a section
+    omega, tau            (N,) forcing frequency, and forcing phase at the sections t = k T
     starts                (N, P + 1) starts of the phases, shares of the forcing period; the last one is 1
-    row                   (N, C, n) row of each contact
+    row                   (N, C, n) weights of the coordinates in the displacement at each contact
     stops                 (N, C, 2) lower and upper stop of each contact, infinite if missing
     R                     (N, C) coefficient of restitution of rigid contacts, 1 for soft ones
     soft                  (N, C) 1 for soft contacts, else 0; equal in all N
     by_force              (N, C) 1 for contacts released by force, else 0; equal in all N
     contact_constants     (N, P, C, 3) stiffness, damping and preload of soft contacts, 0 for rigid ones; in force per
                           displacement, force per velocity and force along the row
-    friction_rows         (N, F, n) row of each friction
+    friction_rows         (N, F, n) weights of the velocities in the sliding velocity of each friction
     belt                  (N, F) velocity of the surface that each friction rubs on
     friction_constants    (N, P, F, 2, 3) kinetic level, static level and slope for v < 0 and v > 0; in force, force,
                           and force per velocity
     contact_laws          (N, C, 2, S, 3) further force of the lower and upper stop of a soft contact: start of each
                           segment in depth, slope, and force extrapolated to depth 0; see laws.py
     friction_laws         (N, F, 2, S', 3) further resistance of friction for v < 0 and v > 0, likewise over |v|
-    counted               (N, C) 1 for contacts, 0 for springs, whose stops are the ends of the segment at rest
+    counted               (N, C) 1 for contacts, 0 for springs, whose stops are ends of the segment with y = 0
     drift                 (N,) the coordinate that may drift, -1 if there is none; equal in all N
 
     All fields are in the units of the definition.
@@ -102,7 +102,11 @@ class HybridMachines(NamedTuple):
 
     @property
     def signals(self) -> Rows:
-        """Numbers (U,) of the signals that end a mode of any machine, see ``hybrid_modes.SIGNALS``; at least one."""
+        """Indices (U,) of the signals, displacements or forces, at whose ends a mode of any machine ends; at least one.
+
+        A mode is a set of linear equations. The indices of a contact's signals are explained at
+        ``hybrid_modes.SIGNALS``.
+        """
         F = self.sizes[2]
         ends = np.stack([np.isfinite(self.stops).any(axis=(0, 2)), self.by_force.any(axis=0)], axis=1)  # (C, 2)
         numbers = np.flatnonzero(np.concatenate([ends.ravel(), np.ones(F, dtype=np.bool_)]))
@@ -131,13 +135,13 @@ def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array)
 
 @np.errstate(all="ignore")
 def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
-    """Return the reason against each of N machines that its numbers alone show, NO_REASON if there is none.
+    """Return the code (N,) of why a machine is invalid, as far as its numbers alone show; NO_REASON if it is valid.
 
     Lower stops must be below upper ones, and 0 <= R <= GREATEST_R. Stiffness and preload of a contact, its damping if
     it is released by force, and the slope of its law, must not be negative. Segments must be in order, 0 <= kinetic <=
-    static, and starts must rise from 0 and stay below 1. Rows that can stick together must be independent, see
-    ``held_rows``. A force along a row must move it that way, see ``yields``. Nothing may tie down a drifting
-    coordinate.
+    static, and starts must rise from 0 and stay below 1. Rows, weights of coordinates, that can stick together must be
+    independent, see ``held_rows``. A force along a row must move it that way, see ``yields``. Nothing may tie down a
+    drifting coordinate.
     """
     lower, upper = machines.stops[..., 0], machines.stops[..., 1]
     reasons = np.full(len(machines.omega), NO_REASON, dtype=np.int8)
@@ -224,7 +228,7 @@ def feeds(machines: HybridMachines) -> Mask:
 
 
 def _has_energy(machines: HybridMachines) -> Mask:
-    """Return the mask (N,) of machines whose M and K are symmetric in all phases."""
+    """Return the mask (N,) of machines with an energy: M symmetric and positive definite, K symmetric in all phases."""
     return definite(machines.mass) & np.all(machines.stiffness == machines.stiffness.swapaxes(-1, -2), axis=(1, 2, 3))
 
 
@@ -264,8 +268,8 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
 def held_rows(machines: HybridMachines) -> Array:
     """Return the rows (N, C + F, n) along which rigid contacts and friction can stick, zeros for other elements.
 
-    Friction on the row of a rigid contact, or on a multiple of this row, is left out, since a sticking contact does not
-    slide.
+    A row has the weights of the coordinates. Friction on the row of a rigid contact, or on a multiple of this row, is
+    left out, since a sticking contact does not slide.
     """
     rigid = machines.row * (1.0 - machines.soft)[..., None]
     same = np.any((along_contacts(machines) != 0.0) & (machines.soft == 0.0)[:, None], axis=-1)  # (N, F)
@@ -273,7 +277,11 @@ def held_rows(machines: HybridMachines) -> Array:
 
 
 def along_contacts(machines: HybridMachines) -> Array:
-    """Return (N, F, C): the factor a if the row of a friction is a times the row of a contact to rounding, else 0."""
+    """Return (N, F, C): the factor a if a friction's row is a times a contact's row to rounding, else 0.
+
+    A row has the weights of the coordinates in the displacement at a contact, or of the velocities in a sliding
+    velocity.
+    """
     (slide, wide), (row, high) = _scaled(machines.friction_rows), _scaled(machines.row)
     share = np.vecdot(slide[:, :, None], row[:, None]) / np.vecdot(row, row)[:, None]
     apart = np.max(np.abs(slide[:, :, None] - share[..., None] * row[:, None]), axis=-1)
@@ -290,8 +298,9 @@ def _scaled(rows: Array) -> tuple[Array, Array]:
 def yields(machines: HybridMachines) -> Mask:
     """Return the mask (N,) of machines in which a force along any row moves the row that way, g.M^-1 g > 0.
 
-    It must also hold while other rows stick. All principal minors of G M^-1 G' are then positive, with G the rows of
-    contacts and all rows that can stick. It holds for every symmetric, positive definite M.
+    A row g has the weights of the coordinates at a contact or friction. The condition must also hold while other rows
+    stick. All principal minors of G M^-1 G' are then positive, with G the rows of contacts and all rows that can stick.
+    It holds for every symmetric, positive definite M.
     """
     all_yield = definite(machines.mass).copy()
     (others,) = np.nonzero(~all_yield)
@@ -307,7 +316,10 @@ def definite(mass: Array) -> Mask:
 
 
 def _yield_along(machines: HybridMachines) -> Mask:
-    """Return ``yields``, computed by the principal minors."""
+    """Return the mask (N,) of machines in which a force along any row moves the row that way, see ``yields``.
+
+    It is computed by the principal minors of G M^-1 G', with G the rows of contacts and friction.
+    """
     closed = held_rows(machines)
     inverse = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
     singles = np.concatenate([machines.row, machines.friction_rows], axis=1)
@@ -338,5 +350,5 @@ def _singular_values(rows: Array) -> Array:
 
 
 def _any(wrong: Mask) -> Mask:
-    """Return the mask (N,) of machines with any true entry."""
+    """Return the mask (N,) of machines for which any entry of ``wrong`` (N, ...) is True."""
     return np.asarray(np.any(wrong, axis=tuple(range(1, wrong.ndim))))

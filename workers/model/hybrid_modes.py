@@ -1,4 +1,4 @@
-"""The modes of hybrid machines, by soft and rigid contacts, dry friction and phases.
+"""The modes of hybrid machines, which have soft and rigid contacts, dry friction and phases.
 
     M x'' + C x' + K x = load + force(omega t + tau) + contacts + friction
 
@@ -7,9 +7,10 @@ delta + damping delta' acts. A rigid stop turns y' into -R y'. Friction on v = r
 slope |v|, and sticks, v = 0, up to ``static``. Phases change matrices, force, load and the constants of elements from
 ``start`` on, a share of the forcing period.
 
-A mode is an affine linear flow between events, for one phase and one state of each contact and friction. Sticking
-coordinates y = G x are eliminated: x = D y + N q, N spanning ker G, and y has a constant rate. In blocks y is a rigid
-mode without load, so all modes of a machine have the same number of blocks.
+A mode is a set of linear equations of motion between two events, for one phase and one state of each contact and
+friction. Sticking coordinates y = G x are eliminated: x = D y + N q, N spanning ker G, and y has a constant rate. The
+equations of a mode are decoupled into blocks, where each y is a rigid motion without load, so all modes of a machine
+have the same number of blocks.
 """
 
 from typing import Any, NamedTuple
@@ -32,15 +33,15 @@ push and does not. In segment j of a law the states are ON + 2 j and DETACHED + 
 """
 
 ZERO_SHARE = 1e-12
-"""Rounding of zero, as a share of the terms of a sum or of the largest eigenvalue."""
+"""Largest share of the terms of a sum, or of the largest eigenvalue, that counts as rounding of zero."""
 
 NO_FORM, RESONANT = 1, 2
-"""Faults of a mode: no motion in closed form; undamped resonance. A mode without a fault has 0."""
+"""Faults of a mode, a set of linear equations: no motion in closed form; undamped resonance. A mode without a fault has
+0."""
 
 SIGNALS = 2
-"""Number of signals of a contact. The first is y, or the contact force while it sticks; the second is the force of a
-soft contact that is released by force.
-"""
+"""Number of signals of a contact, the numbers whose ends of range are events. The first is y, or the contact force
+while it sticks; the second is the force of a soft contact that is released by force."""
 
 
 class ModeCode(NamedTuple):
@@ -70,11 +71,15 @@ class ModeCode(NamedTuple):
 
 
 FLYING = ModeCode(0, (OPEN,), ())
-"""The mode of a machine with one rigid contact in free flight."""
+"""Code of the free flight of a machine with one rigid contact."""
 
 
 def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> ModeCode:
-    """Return the code of a number, for these numbers of contacts, frictions, and segments of their laws."""
+    """Return the code of the mode, a set of linear equations, that ``number`` stands for, see ``ModeCode.number_of``.
+
+    contacts, slips          numbers of contacts and of frictions
+    segments, slip_segments  maximum numbers of segments in their force laws
+    """
     signs, states = [], []
     for _ in range(slips):
         number, digit = divmod(number, 2 * slip_segments + 1)
@@ -86,11 +91,11 @@ def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segm
 
 
 def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
-    """Return stiffness, damping and preload (N,) of a soft contact.
+    """Return stiffness, damping and preload (N,) of a soft contact's force.
 
     machines  the machines
     p, c      phase and contact
-    state     state of the contact, which decides the segment of its law
+    state     state of the contact, which decides the segment of its force law
     """
     stiffness, damping, preload = machines.contact_constants[:, p, c].T
     _, slope, level = machines.contact_laws[:, c, 1 if state > 0 else 0, (abs(state) - 1) // 2].T
@@ -98,9 +103,9 @@ def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array
 
 
 def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
-    """Return kinetic level and slope (N,) of friction f while it slides in phase p.
+    """Return kinetic level and slope (N,) of the force of friction f while it slides in phase p.
 
-    ``sign`` decides the segment of its law.
+    ``sign`` is the slip's number in ModeCode, which decides the segment of the friction law.
     """
     side = 1 if sign > 0 else 0
     kinetic, _, slope = machines.friction_constants[:, p, f, side].T
@@ -109,26 +114,29 @@ def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Arra
 
 
 def _segment(starts: Array, i: int) -> tuple[Array, Array]:
-    """Return start and end (N,) of segment i, for segments that begin at starts (N, S)."""
+    """Return start and end (N,) of segment i, for segments that begin at ``starts`` (N, S); the last one has no end."""
     return starts[:, i], starts[:, i + 1] if i + 1 < starts.shape[1] else np.full(len(starts), np.inf)
 
 
 class HybridModes(NamedTuple):
-    """A mode of N machines with n blocks, G signals and H harmonics.
+    """A mode, a set of linear equations of motion, of N machines with n blocks, G signals and H harmonics.
 
-    blocks        (N, G, n, columns) flow of the blocks, and the row of each signal, see oscillator.Block
+    A mode holds between two events. A block is a decoupled equation. A signal is a number computed from the state, with
+    an event at each end of its range.
+
+    blocks        (N, G, n, columns) constants of the blocks, and the weights of each signal, see oscillator.Block
     waves         (N, G, H, 2) forced part of each signal, see oscillator.GuardedFlow
     numbers       (N, G, NUMBER) see oscillator.ForcedBounds
     forced        (N, n, 2, H, 2) forced response of the blocks
-    rows          (N, G, 2n + 1) each signal as a row on (x, v, 1)
-    direct        (N, G, H, 2) share of the force in each signal
+    rows          (N, G, 2n + 1) each signal as weights of (x, v, 1)
+    direct        (N, G, H, 2) part of each signal that is the force itself
     offset        (N, G) value of each signal with the blocks at rest
     ends          (N, G, 2) range of each signal in this mode, infinite without an end
     to_blocks     (N, 2n, 2n) blocks of (x, v), counted from their rest
     to_physical   (N, 2n, 2n) its inverse
-    acceleration  (N, n, 2n + 1) x'' as rows on (x, v, 1)
-    drive         (N, n, H, 2) share of the force in x''
-    lost          (N,) number of dimensions missing in the flow
+    acceleration  (N, n, 2n + 1) x'' as weights of (x, v, 1)
+    drive         (N, n, H, 2) part of x'' that is the force itself
+    lost          (N,) number of dimensions of the state that sticking removes
     trace         (N,) trace of M^-1 C of the mode, its contraction of volume
     """
 
@@ -149,17 +157,17 @@ class HybridModes(NamedTuple):
 
 
 OF_PIECES = HybridModes._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
-"""Numbers of axes of the fields of many modes of many machines, one more than HybridModes has."""
+"""Number of axes of each field of a record of several modes of many machines, one more than in HybridModes."""
 
 
 class ModeStructure(NamedTuple):
-    """A mode of N machines as far as all but the forcing frequency decides it.
+    """The part of a mode, the linear equations between two events, that does not depend on the forcing frequency.
 
-    flow, loading  of the coordinates that do not stick
+    flow, loading  decoupled equations of the coordinates that do not stick, and the effect of force and load on them
     still          (N, r, columns) blocks of sticking coordinates
-    undriven       (N,) mask of machines in which a load or a belt drives a free motion
+    undriven       (N,) mask of machines in which a load or a belt drives a free motion: no closed form exists
 
-    All other fields are those of HybridModes.
+    All other fields are those of HybridModes, for N machines.
     """
 
     flow: BlockFlow
@@ -178,10 +186,10 @@ class ModeStructure(NamedTuple):
 
 @np.errstate(all="ignore")
 def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, NDArray[np.int64]]:
-    """Return a mode of machines, and its fault (N,) by machine, 0 if there is none.
+    """Return the mode ``code``, a set of linear equations between two events, of machines, and its faults (N,).
 
-    RESONANT is undamped resonance. NO_FORM means that sticking rows depend on each other, planes cannot be separated,
-    or a load drives a free motion that the sticking coordinates leave.
+    A fault is 0 if the mode is valid. RESONANT is undamped resonance. NO_FORM means that sticking rows depend on each
+    other, invariant planes cannot be separated, or a load drives a free motion that the sticking coordinates leave.
     """
     return build_modes_at(structures_of(machines, code), machines.omega)
 
@@ -203,7 +211,10 @@ def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, 
 
 @np.errstate(all="ignore")
 def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """Return ``build_modes`` of machines with these structures, at forcing frequencies (N,)."""
+    """Return a mode, a set of linear equations, at forcing frequencies (N,), and its faults (N,), see ``build_modes``.
+
+    ``groups`` has the rest of the equations, which does not depend on the frequency, see ``structures_of``.
+    """
     if len(groups) == 1:
         return at_frequencies(groups[0][1], omega)
     parts = [at_frequencies(structure, omega[rows]) for rows, structure in groups]
@@ -215,11 +226,11 @@ def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tu
 
 
 def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
-    """Return the structure of a mode of machines with the same ``resting`` friction.
+    """Return the linear equations of a mode without the effect of the forcing frequency, for equal ``resting``.
 
-    machines, code  the machines and the mode
+    machines, code  the machines and the mode, with phase, contacts and friction
     along           (N, F, C) see along_contacts
-    resting         contacts by friction, see ``_resting``
+    resting         index of the sticking contact for each friction that sticks on the contact's row, see ``_resting``
     """
     p, mass = code.phase, machines.mass
     N, n = machines.load.shape[0], machines.load.shape[2]
@@ -266,7 +277,10 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
 
 
 def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """Return a mode of this structure at forcing frequencies (N,), and its fault (N,), see ``build_modes``."""
+    """Return a mode, a set of linear equations, at forcing frequencies (N,), and its faults (N,), see ``build_modes``.
+
+    ``structure`` has the part of the equations that does not depend on the frequency.
+    """
     rows, to_blocks, to_physical = structure.rows, structure.to_blocks, structure.to_physical
     (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, structure.still.shape[1]
     moving, resonant = motion_in(structure.flow, structure.loading, omega)
@@ -296,9 +310,10 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
 
 
 def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
-    """Return groups of machines by the friction that sticks on the row of a sticking rigid contact.
+    """Return groups of machines with equal friction on sticking contacts, and the group (N,) of each machine.
 
-    The second result is the group of each machine. A group maps each such friction to its contact, see along_contacts.
+    A group is a mapping: from each friction that sticks on the row of a sticking rigid contact to that contact. Whether
+    rows agree is seen in ``along``, see along_contacts.
     """
     closed = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[:, c].any()]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
@@ -311,9 +326,10 @@ def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[li
 
 
 def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
-    """Return D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of sticking rows G (N, r, n).
+    """Return D = M^-1 G' (G M^-1 G')^-1 (N, n, r) and (G M^-1 G')^-1 G M^-1 (N, r, n), G (N, r, n) the sticking rows.
 
-    For symmetric M the two are transposes of each other. ``even`` is the mask (N,) of symmetric M.
+    The second gives the forces that hold y = G x, the first the displacements x that go with y. For symmetric M the two
+    are transposes of each other. ``even`` is the mask (N,) of symmetric M.
     """
     turned = np.ascontiguousarray(G.swapaxes(1, 2))
     compliance = G @ inverse_mass @ turned
@@ -328,12 +344,15 @@ def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
 def _signals(
     machines: HybridMachines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
 ) -> tuple[Array, Array, Array]:
-    """Return rows (N, G, 2n + 1), shares of the force (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
+    """Return the signals of a mode: weights (N, G, 2n + 1), force parts (N, G, H, 2) and ranges (N, G, 2).
 
-    machines, code  the machines and the mode
+    machines, code  the machines and the mode, a set of linear equations
     resting, along  see ``_resting`` and along_contacts
-    multipliers     (N, r, 2n + 1) contact and friction forces on (x, v, 1) along sticking rows, contacts first
-    driven          (N, H, r) shares of the force in them
+    multipliers     (N, r, 2n + 1) contact and friction forces that make r displacements stick, as weights of (x, v, 1);
+                    contacts come first
+    driven          (N, H, r) part of these forces that is the force itself
+
+    A signal is a sum of weighted (x, v, 1) and harmonics of the force; an event occurs at each end of its range.
     """
     p, (_, C, F), (N, H) = code.phase, machines.sizes, driven.shape[:2]
     n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of a single signal are those of the flow
@@ -396,13 +415,16 @@ def _reduced(
     D: Array,
     moves: Mask,
 ) -> tuple[BlockFlow, BlockLoading, Array, Array, Mask]:
-    """Return the flow while rows G stick, its loading, its transformations, and the mask of undriven machines.
+    """Return the equations of motion while coordinates stick: (flow, loading, to_blocks, to_physical, undriven).
 
-    G      (N, r, n) sticking rows
+    G      (N, r, n) sticking rows: y = G x are the r displacements that stick
     D      (N, n, r) see ``_holding``
     moves  (N, r) mask of rows with a moving belt
 
-    With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
+    The results are the decoupled equations, the effect of force and load on them, the transformations (N, 2n, 2n) of
+    the states, and a mask (N,) of machines in which a belt drags at a motion without restoring force. The motion is x =
+    D y + N q, N spanning the null space of G. With u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b =
+    -(N'KN)^-1 N'C (D + N a).
     """
     # Forces along the sticking rows, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 give
     # p = -(G M^-1 G')^-1 G M^-1 (f - C x' - K x). With D = M^-1 G' (G M^-1 G')^-1 is G D = 1 and N'M D = N'G' ... = 0,
@@ -447,9 +469,9 @@ def _reduced(
 
 
 def _seen_along(matrix: Array, across: Array, null: Array) -> Array:
-    """Return N'A N of matrices A (N, n, n), zero where it is zero to rounding.
+    """Return N'A N of matrices A (N, n, n), zero where it is zero to rounding; ``across`` is N', ``null`` is N.
 
-    A dashpot along a sticking row moves nothing else.
+    N spans the motions that do not stick. A dashpot along a displacement that sticks moves nothing else.
     """
     seen = across @ matrix @ null
     terms = np.abs(across) @ np.abs(matrix) @ np.abs(null)
@@ -470,7 +492,7 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
 
 
 def null_space(G: Array) -> Array:
-    """Return orthonormal bases (N, n, n - r) of the null space of rows (N, r, n)."""
+    """Return orthonormal bases (N, n, n - r) of the null spaces of matrices G (N, r, n)."""
     if not G.shape[1]:
         return np.repeat(np.eye(G.shape[2])[None], len(G), axis=0)
     return np.ascontiguousarray(

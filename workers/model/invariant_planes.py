@@ -15,7 +15,10 @@ transformation relative to its eigenvalues.
 
 
 def condition_of(planes: Array) -> float:
-    """Return the condition of the rows, scaled to length 1: how nearly planes with these rows coincide."""
+    """Return the condition number of the rows of planes, scaled to length 1: it is large if planes nearly coincide.
+
+    It is infinite if a number is not finite.
+    """
     unit = planes / np.linalg.norm(planes, axis=1, keepdims=True)
     return float(np.linalg.cond(unit)) if np.isfinite(unit).all() else math.inf
 
@@ -41,11 +44,11 @@ def planes_of(A: Array, grows: bool = False) -> tuple[Array, Array, Array]:
 
 
 def _coordinates(W: Array, B: Array, full_row: bool) -> tuple[float, float, Array]:
-    """Return eta and lam of a plane W A = B W, and the rows (2, 2n) of its h and h'.
+    """Return eta and lam of a plane W A = B W, and the weights (2, 2n) of z in its coordinates h and h'.
 
-    h = alpha W z with the unit vector alpha that makes h and h' = alpha B W z most independent. The rows are scaled so
-    that the velocity part of the row of h' has unit length. With ``full_row`` the whole row has unit length, since its
-    velocity part may be zero. The rows are NaN if no alpha makes h and h' independent.
+    h = alpha W z with the unit vector alpha that makes h and h' = alpha B W z most independent. The weights are scaled
+    so that the velocity part of those of h' has unit length. With ``full_row`` all weights of h' have unit length,
+    since the velocity part may be zero. The weights are NaN if no alpha makes h and h' independent.
     """
     mixed = 0.5 * (B[1, 1] - B[0, 0])
     values, vectors = np.linalg.eigh(np.array([[B[0, 1], mixed], [mixed, -B[1, 0]]]))

@@ -3,11 +3,11 @@
     law = [[x_0, F_0], [x_1, F_1], ...]
 
 The last segment has no end; the first segment of a spring has none either. The law of a contact is a function of its
-depth, that of friction of |v|, from 0 on. The value at 0 is the preload or the kinetic level; the law in HybridMachines
-is the increment. The law of a spring is a function of y. Its segment at y = 0 goes into the stiffness and load of the
-machine. The ends of that segment are stops of a contact that adds the rest of the law.
+depth, that of friction of |v|, from 0 on. The value at 0 is the preload or the kinetic level; HybridMachines holds the
+increment of the law from that value on. The law of a spring is a function of y. Its segment at y = 0 goes into the
+stiffness and load of the machine. The ends of that segment are stops of a contact that adds the rest of the law.
 
-An expression becomes a table of the fewest segments, see piecewise_fit.py. An invalid law has NaN for starts.
+An expression becomes a table of the fewest segments, see piecewise_fit.py. The segments of an invalid law start at NaN.
 """
 
 from collections.abc import Mapping
@@ -23,15 +23,15 @@ from workers.model.parameter import OMEGA
 from workers.model.piecewise_fit import POINTS, fewest
 
 EVEN = 8.0 * float(np.finfo(np.float64).eps)
-"""Relative difference of slopes up to which adjacent segments are one: rounding of an odd table."""
+"""Relative difference of slopes up to which adjacent segments count as one: the rounding of a table of an odd law."""
 
 
 class SpringTables(NamedTuple):
-    """N springs of piecewise linear laws.
+    """N springs of piecewise linear laws, split into the segment with y = 0 and the rest.
 
-    stiffness, force  (N,) stiffness, and force at 0, of the segment at rest
-    stops             (N, 2) ends of the segment at rest
-    law               (N, 2, S, 3) the rest of the law, as in HybridMachines.contact_laws
+    stiffness, force  (N,) stiffness, and force at y = 0, of the segment with y = 0
+    stops             (N, 2) ends of that segment
+    law               (N, 2, S, 3) further force beyond these ends, as in HybridMachines.contact_laws
     """
 
     stiffness: Array
@@ -80,7 +80,11 @@ def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], l
 def law_use(
     element: Contact | Friction | Spring, named: Mapping[str, Array], low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """Return how far an expression was used by motions whose arguments lay between ``low`` and ``high`` (N,).
+    """Return how far motions used an element's law that is an expression, and the error bound there.
+
+    element    contact, friction or spring with the law
+    named      values (N,) by name
+    low, high  (N,) least and greatest argument of the law during the motions
 
     The first result (N,) is the largest argument as a share of the range. The second (N,) is the error bound as a share
     of the greatest force at these arguments, NaN if there was no force.
@@ -100,7 +104,7 @@ def law_use(
 
 
 def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) -> Array:
-    """Return the range (N, 2) of arguments in which an expression counts."""
+    """Return the least and greatest argument (N, 2) for which an element's law, an expression, is to be accurate."""
     if isinstance(element.range, tuple):
         return evaluate_entries(element.range, named)
     (reach,) = evaluate_entries((element.range,), named).T
@@ -110,7 +114,7 @@ def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) ->
 def _fitted(
     element: Contact | Friction | Spring, numbers: Mapping[str, float], within: float, low: float, high: float
 ) -> Array:
-    """Return the vertices (V, 2) of the fewest segments of an element's law.
+    """Return the vertices (V, 2) of the fewest straight segments that approximate an element's law.
 
     element    contact, friction or spring whose law is an expression
     numbers    values by name
@@ -149,12 +153,13 @@ def segments_of(element: Contact | Friction | Spring, table: Array) -> int:
 
 
 def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
-    """Return the force at 0 (N,) and the segments (N, S, 3), as in HybridMachines.contact_laws, of a law from 0 on.
+    """Return the force at 0 (N,) and the segments (N, S, 3) of laws whose argument begins at 0, such as a depth.
 
-    table  (N, V, 2) vertices
+    table  (N, V, 2) vertices, argument and force
     falls  True if the law may fall, as that of friction may
 
-    If the law may fall, no force may be negative and the last segment may not fall. Otherwise no segment may fall.
+    Segments are those of HybridMachines.contact_laws. If the law may fall, no force may be negative and the last
+    segment may not fall. Otherwise no segment may fall. The segments of any other law start at NaN.
     """
     x, slope, rises = _chords(table)
     first = table[:, 0, 1]
@@ -169,7 +174,7 @@ def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
 
 
 def two_sided(table: Array) -> SpringTables:
-    """Return the springs with these vertices (N, V, 2)."""
+    """Return N springs whose force laws have these vertices (N, V, 2), argument and force."""
     x, slope, rises = _chords(table)
     N, S = slope.shape
     count = np.sum(np.isfinite(x), axis=1)
@@ -201,7 +206,10 @@ def two_sided(table: Array) -> SpringTables:
 
 
 def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> HybridMachines:
-    """Return machines with a further spring on y = row . x, for rows (N, n)."""
+    """Return machines with one more spring on y = row . x, for rows (N, n).
+
+    Its segment with y = 0 is added to stiffness and load; the rest of its law becomes a soft contact.
+    """
     N, C = len(row), machines.sizes[1]
 
     def and_one(field: Array, value: Any, axis: int = 1) -> Array:
@@ -235,12 +243,15 @@ def widened(laws: list[Array], shape: tuple[int, ...]) -> Array:
 
 
 def none(*shape: int) -> Array:
-    """Return the law of elements without a law."""
+    """Return the segments (..., 1, 3), zeros, of elements without a force law; ``shape`` is their shape (...)."""
     return np.zeros((*shape, 1, 3))
 
 
 def _chords(table: Array) -> tuple[Array, Array, Array]:
-    """Return arguments (N, V), slopes (N, V - 1), 0 beyond the last vertex, and the mask (N,) of rising arguments."""
+    """Return arguments (N, V), slopes (N, V - 1) and a mask (N,) of laws with vertices ``table`` (N, V, 2).
+
+    The slopes are 0 beyond the last vertex. The mask is True if all arguments rise.
+    """
     x, F = table[..., 0], table[..., 1]
     exists = np.isfinite(x[:, 1:]) | np.isnan(x[:, 1:])
     run = np.where(exists, np.diff(np.where(x == np.inf, 0.0, x), axis=1), 1.0)
@@ -249,9 +260,10 @@ def _chords(table: Array) -> tuple[Array, Array, Array]:
 
 
 def _segments(starts: Array, slope: Array) -> Array:
-    """Return segments (N, S, 3) with these starts and slopes, and zero force at the first start.
+    """Return segments (N, S, 3): start, slope, and force extrapolated to 0; the force is zero at the first start.
 
-    A slope of NaN stands for no segment.
+    starts  (N, S) arguments at which the segments begin
+    slope   (N, S) slopes; NaN if there is no segment
     """
     exists = np.isfinite(slope)
     slope = np.where(exists, slope, 0.0)

@@ -14,7 +14,7 @@ MEASURES = 8
 """Maximum number of measures of a machine."""
 
 ORDERS = ("displacement", "velocity", "acceleration")
-"""Keys of a measure, by the derivative of the displacements that its row acts on."""
+"""Keys of a measure, by the derivative of the displacements of which it is a weighted sum."""
 
 REPORTS = {
     "mean": "mean", "rms": "root mean square", "peak": "greatest modulus", "power": "mean power",
@@ -29,7 +29,7 @@ RANGE_SHARE, LAW_ERROR = "_range_share", "_law_error"
 
 @dataclass(frozen=True)
 class OutputMeasure:
-    """An output row . x, row . x' or row . x'' that is measured, and the numbers to report of it.
+    """An output row . x, row . x' or row . x'' that is measured, and the numbers to report; row weights coordinates.
 
     displacement, velocity, acceleration  the row, on x, x' or x''; the other two are None
     weight                                factor of the power, None without that report
@@ -45,12 +45,12 @@ class OutputMeasure:
 
     @property
     def kind(self) -> str:
-        """The derivative that the row acts on, one of ORDERS."""
+        """The derivative of the displacements of which the output is a weighted sum, one of ORDERS."""
         return next(key for key in ORDERS if getattr(self, key) is not None)
 
     @property
     def row(self) -> Row:
-        """The row of the output."""
+        """Weights of the coordinates in the output."""
         row: Row = getattr(self, self.kind)
         return row
 
@@ -59,7 +59,10 @@ Measures = tuple[tuple[str, OutputMeasure], ...]
 
 
 def read_measures(value: object, known: Collection[str], n: int) -> Measures:
-    """Return the measures in a table [system] of n coordinates, by their names."""
+    """Return pairs (name, measure) from the entry ``measures`` of a table [system] of n coordinates.
+
+    ``known`` are the names that expressions may use.
+    """
     tables = read_table("system.measures", value)
     if len(tables) > MEASURES:
         raise DefinitionError(f"system.measures: found {len(tables)}, must be at most {MEASURES}")
@@ -124,9 +127,10 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
 
 
 def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[tuple[str, Variable]]:
-    """Yield (entry, variable) for results that tell how far a law given as an expression was used.
+    """Yield (entry, variable) for results that say if a law given as an expression was used within its range.
 
-    The variables begin with the names of the elements. The largest argument of a contact's law is its penetration.
+    They are the largest argument, that argument as a share of the range, and the error bound. The variables begin with
+    the names of the elements. The largest argument of a contact's law is its penetration.
     """
     for element in elements:
         name, where, of = element.name, f"law of {element.name}", f"the law of {element.name}"

@@ -1,6 +1,7 @@
 """Machines with modes in the form for kernels: their elements, and a table of the modes built so far.
 
-A mode, see hybrid_modes.py, is built when a motion first reaches it.
+A mode is a set of linear equations of motion between two events, see hybrid_modes.py. It is built when a motion first
+reaches it.
 """
 
 import math
@@ -41,9 +42,9 @@ from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
 
 class ContactElements(NamedTuple):
-    """Contacts and friction of N machines as kernels need them: fields of HybridMachines, and derived fields.
+    """Contacts and friction of N machines as compiled kernels need them: fields of HybridMachines, and derived fields.
 
-    kick               (N, C, n) M^-1 g / (g M^-1 g) of each contact's row g
+    kick               (N, C, n) M^-1 g / (g M^-1 g), the direction of an impact, g the weights of displacements
     weight             (N, C) 1 / (g M^-1 g) of each contact
     friction_kick      (N, F, n) as kick, of each friction's row
     static_is_kinetic  (N, P, F, 2) 1 if static = kinetic, else 0, for v < 0 and v > 0
@@ -70,7 +71,7 @@ class ContactElements(NamedTuple):
 
 
 def elements_of(machines: HybridMachines) -> ContactElements:
-    """Return the elements of machines."""
+    """Return the contacts and friction of machines as the compiled kernels need them."""
     inverse_mass = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
 
     def along(rows: Array) -> Array:
@@ -101,6 +102,9 @@ class ModeTable(NamedTuple):
     tau       (N,) phase at a section, see free_flight.phase_of
     drifts    (N,) 1 if a coordinate may drift, else 0
     machines  the machines; kernels do not see them
+
+    A mode is a set of linear equations of motion between two events. A section is an instant t = k T, T the forcing
+    period.
     """
 
     codes: NDArray[np.int64]
@@ -114,13 +118,13 @@ class ModeTable(NamedTuple):
     machines: HybridMachines
 
     def without_modes(self, N: int) -> "ModeTable":
-        """Return the table of N machines with one rigid contact."""
+        """Return the table of N machines with one rigid contact, which has no room for modes; see ``no_table``."""
         return no_table(N)
 
     def build_missing(self, rows: Rows) -> Rows:
-        """Build the missing mode of each of these machines, and return the rows for which it has been built.
+        """Build the mode that each of these machines misses, and return the rows for which a mode was built.
 
-        Machines with a full table stay without the mode.
+        A mode is a set of linear equations between two events. Machines with a full table stay without the mode.
         """
         rows = rows[self.missing[rows, 0] >= 0]
         if not len(rows):
@@ -139,26 +143,30 @@ class ModeTable(NamedTuple):
 
 _OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 4, 4])
 _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
-"""Numbers of axes of the fields of a table for many machines."""
+"""Number of axes of each field of a ModeTable, for many machines."""
 
 
 @lru_cache(maxsize=64)
 def no_table(N: int) -> ModeTable:
-    """Return the table of N machines with one rigid contact, without modes; it must not be written to."""
+    """Return an empty table for N machines with one rigid contact; it is shared and must not be written to.
+
+    Only other machines have modes, sets of linear equations between two events.
+    """
     table: ModeTable = empty(_AXES, N)
     codes = np.zeros((N, 0), dtype=np.int64)
     return table._replace(codes=codes, wrong=codes.copy(), missing=np.full((N, 1), -1))
 
 
 MODE_TABLE_SIZE = 64
-"""Maximum number of modes in the table of a machine; each segment of its laws adds two."""
+"""Maximum number of modes, sets of linear equations, in the table of a machine; each segment of its force laws adds
+two."""
 
 
 @np.errstate(all="ignore")
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
-    """Return machines with modes in the form for kernels, and the reason against each, NO_REASON if there is none.
+    """Return machines with modes in the form for compiled kernels, and codes (N,) of the reasons why one is invalid.
 
-    No mode is built yet.
+    The code of a valid machine is NO_REASON. No mode, a set of linear equations between two events, is built yet.
     """
     (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
     mass, stiffness = _measuring(machines.mass), _measuring(machines.stiffness[:, 0])
@@ -245,15 +253,15 @@ def is_symmetric(oscillators: Oscillator) -> Mask:
 
 
 def _measuring(matrices: Array) -> Array:
-    """Return symmetric matrices (N, n, n) that measure states of machines: the symmetric parts of ``matrices``."""
+    """Return the symmetric parts of ``matrices`` (N, n, n), with which states of machines are measured."""
     even = symmetric(matrices)[:, None, None]
     return matrices if np.all(even) else np.where(even, matrices, 0.5 * matrices + 0.5 * matrices.swapaxes(1, 2))
 
 
 def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
-    """Return the decay rate (N,) of the slowest mode in blocks, 0 if a mode has no damping.
+    """Return the decay rate (N,) of the slowest of the decoupled equations ``flow``, 0 if one has no damping.
 
-    flow      (N, n, columns) blocks
+    flow      (N, n, columns) the equations, see oscillator.Block
     growth    (N,) largest growth rate
     drifting  the coordinate that may drift, -1 if there is none
 
@@ -267,9 +275,10 @@ def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
 
 
 def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
-    """Return the mask (N,) of machines with growing motion that is invisible to contacts and friction.
+    """Return the mask (N,) of machines with a growing motion that no contact and no friction sees.
 
-    The motion is that with all contacts open and nothing sticking.
+    Such a motion moves no contact's coordinate and slides no friction. ``open_pieces`` are the equations of motion with
+    all contacts open and nothing sticking.
     """
     row, slide = machines.row, machines.friction_rows
     rows = np.concatenate([np.pad(row, ((0, 0), (0, 0), (0, row.shape[2]))),
@@ -278,14 +287,14 @@ def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
 
 
 def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:
-    """Return sizes (N, n, 2) of block states of machines without a force.
+    """Return the typical sizes (N, n, 2) of h and h' in each decoupled equation of machines without a force.
 
     lam     (N, n) squared frequencies of the undamped modes
     modes   (N, n, n) the modes in columns
     weight  (N, C) see ContactElements
 
-    The size is the displacement by loads and friction in a radian of the mode, or of the section if that is faster.
-    Without loads and friction it is the displacement that takes a contact to its nearest stop.
+    The size is the displacement by loads and friction in a radian of the mode, or of the natural period if that is
+    faster. Without loads and friction it is the displacement that takes a contact to its nearest stop.
     """
     rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
     loads = np.max(np.abs(machines.load @ modes), axis=1)
@@ -302,7 +311,10 @@ def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: 
 
 
 def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array, Array]:
-    """Return ``undamped_modes``, with the free motion of a drifting coordinate last, orthogonal to all other modes."""
+    """Return squared frequencies and undamped modes of vibration; the free motion of a drifting coordinate comes last.
+
+    That motion is orthogonal to all other modes. ``drifting`` is the coordinate that may drift, -1 if there is none.
+    """
     if drifting < 0:
         return undamped_modes(mass, stiffness)
     momentum = mass[:, drifting]  # of the velocities
@@ -315,7 +327,10 @@ def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array,
 
 
 def _count_from_drift(to_blocks: Array, to_physical: Array, drifting: int, omega: Array) -> None:
-    """Make omega times the drifting coordinate the last number of a state, in place; no other number depends on it."""
+    """Change the transformations of states in place: their last number becomes omega times the drifting coordinate.
+
+    No other number of a state then depends on that coordinate.
+    """
     to_blocks[:, -2], to_blocks[:, -1] = to_blocks[:, -1].copy(), 0.0
     to_blocks[:, -1, drifting] = omega
     to_physical[:, :, -2], to_physical[:, :, -1] = to_physical[:, :, -1].copy(), 0.0

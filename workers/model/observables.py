@@ -24,7 +24,7 @@ SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS = KINDS = (
 OF_IMPACTS, OF_OUTPUTS = (IMPACT_PHASE, IMPACT_SPEED), (SECTION, MAXIMUM, MINIMUM)
 SIDES = {"upper": 1, "lower": -1}
 GAP = "gap"
-"""Name of the output that is the coordinate in pictures."""
+"""Name of the output that pictures show: the gap of the first contact, else the first coordinate."""
 
 WORDS = {
     SECTION: "{} at the section", MAXIMUM: "local maxima of {}", MINIMUM: "local minima of {}",
@@ -106,7 +106,7 @@ class Observable:
 
     @property
     def name(self) -> str:
-        """Text form of the observable."""
+        """Text form of the observable, which ``parse`` reads."""
         return ":".join(part for part in (self.kind, self.of, self._side) if part)
 
     @property
@@ -120,7 +120,7 @@ class Observable:
 
     @property
     def modulus(self) -> float:
-        """Modulus of the values, infinity if they have none."""
+        """Modulus of the values if they are angles, 2 pi; infinity for other values."""
         return 2.0 * math.pi if self.kind == IMPACT_PHASE else math.inf
 
     @property
@@ -151,9 +151,10 @@ class Observable:
         )
 
     def row(self, definition: "Definition", values: "Mapping[str, Array]") -> "tuple[Array, float]":
-        """Return the row (N, n) of the output, and the index in ORDERS of the derivative that the row acts on.
+        """Return the weights (N, n) of the coordinates in the output, and the derivative on which they act.
 
-        The row is for N machines with these parameters (N,), and zero if the observable is no output.
+        The derivative is an index in ORDERS. There are N machines with these parameters (N,). The weights are zero if
+        the observable is no output.
         """
         n = len(definition.coordinates)
         gap = definition.picture_rows(values)

@@ -1,7 +1,7 @@
-"""Records for kernels: blocks, rows and columns of a linear oscillator.
+"""Records of arrays that describe linear oscillators to the compiled kernels.
 
-Array shapes give the numbers of masses and harmonics. Many oscillators are one record with one more leading axis in
-each field.
+The equations of motion are decoupled into blocks, h'' + 2 eta h' + lam h = load. Array shapes give the numbers of
+masses and harmonics. A record of many oscillators has one more leading axis in each field.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,14 +15,14 @@ Mask = NDArray[np.bool_]
 Given = TypeVar("Given")
 Reasons = NDArray[np.int8]
 Rows = NDArray[np.int64]
-"""Indices of rows, or a mask of rows."""
+"""Indices of machines, motions or cells in arrays with a row for each, or a mask of them."""
 
 LARGEST_ANGLE = 3e7
 """Largest rotation, in radians of free oscillation per forcing period, for which elementary.sin_cos is exact."""
 
 
 class Block(NamedTuple):
-    """One block h'' + 2 eta h' + lam h = load, with constants of its flow, bounds and guard.
+    """One block of an oscillator: a decoupled equation of motion h'' + 2 eta h' + lam h = load, with its constants.
 
     d, w, inv_w     d = lam - eta^2, w = sqrt|d|, and the inverse of w, 0 for w = 0
     slow, fast      decay rates, both eta unless the eigenvalues are real; slow < 0 in a block that grows
@@ -30,11 +30,11 @@ class Block(NamedTuple):
     metric          weight of h^2 beside h'^2 in the energy norm: lam, which undamped flight keeps, or omega^2 for a
                     rigid mode, lam = 0. In a block that grows it is the larger one of |lam| and eta^2
     load            load of a rigid mode; a load on any other mode moves its rest position instead
-    c, cA, cAA      rows of the guard and of its first two derivatives on (h, h')
-    k, Ak           direction of a reset, and its derivative
+    c, cA, cAA      weights of (h, h') in the guard, the signal that ends the motion, and in its first two derivatives
+    k, Ak           direction in which a reset, such as an impact, moves (h, h'), and its derivative
     swing           bounds of the forced response of h and h'; without a force, the size of displacements by a load,
                     friction, or the room between stops
-    rest            shares of a constant load in h and h'
+    rest            (h, h') at rest under a constant load
 
     The fields are the columns of GuardedFlow.blocks.
     """
@@ -76,18 +76,18 @@ PAIRS = {
     "row": COLUMN.c0, "row1": COLUMN.cA0, "row2": COLUMN.cAA0, "kick": COLUMN.k0, "kick1": COLUMN.Ak0,
     "swing": COLUMN.swing0, "rest": COLUMN.rest0,
 }  # fmt: skip
-"""First column of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
+"""First of the two columns, in GuardedFlow.blocks, of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
 
 OF_FLOW, OF_GUARD = COLUMN.c0, COLUMN.swing0
-"""End of the columns that the flow alone decides, and of the following columns of guard and kick."""
+"""Index after the columns of GuardedFlow.blocks that the equations alone decide, and after those of guard and reset."""
 
 
 def make_blocks(eta: Array, lam: Array) -> Array:
-    """Return blocks (..., columns) with this damping and stiffness (...), zero in all other columns.
+    """Return decoupled equations h'' + 2 eta h' + lam h, as blocks (..., columns), for given eta and lam (...).
 
-    The metric is set except for rigid modes. The k-th derivative of an oscillation is at most sqrt(lam)^k times its
-    amplitude. Near critical damping this bound is large, and the energy and q'' = -2 eta q' - lam q give better bounds.
-    Both bounds hold for blocks that do not grow.
+    Load, guard, reset and forced response are zero. The metric is set except for rigid modes, lam = 0. The k-th
+    derivative of an oscillation is at most sqrt(lam)^k times its amplitude. Near critical damping this bound is large,
+    and the energy and q'' = -2 eta q' - lam q give better bounds. Both bounds hold for blocks that do not grow.
     """
     d = lam - eta * eta
     w = np.sqrt(np.abs(d))
@@ -113,7 +113,7 @@ def make_blocks(eta: Array, lam: Array) -> Array:
 
 
 def rates_of(blocks: Array) -> Any:
-    """Return the complex rates (..., n, 2) of blocks (..., n, columns).
+    """Return the complex rates (..., n, 2), the eigenvalues, of decoupled equations ``blocks`` (..., n, columns).
 
     Each motion in a block is a sum of e^(rate s).
     """
@@ -123,16 +123,16 @@ def rates_of(blocks: Array) -> Any:
 
 
 def growth_of(blocks: Array) -> Array:
-    """Return the largest growth rate (...) in blocks (..., n, columns), 0 if none grows."""
+    """Return the largest growth rate (...) of decoupled equations (..., n, columns), 0 if no solution grows."""
     return np.asarray(np.max(-blocks[..., COLUMN.slow], axis=-1, initial=0.0))
 
 
 class ForcedBounds(NamedTuple):
-    """Sizes of the forced part of a guard: columns of GuardedFlow.numbers.
+    """Bounds of the forced part of a guard, the signal that ends a motion: columns of GuardedFlow.numbers.
 
     omega                   forcing frequency
-    amplitude               bound of the modulus
-    swing2, swing3, swing4  bounds of the second to fourth derivative
+    amplitude               bound of the modulus of the forced part
+    swing2, swing3, swing4  bounds of the moduli of its second, third and fourth derivative
     """
 
     omega: Any
@@ -147,7 +147,7 @@ NUMBER = ForcedBounds(*range(len(ForcedBounds._fields)))
 
 
 class GuardedFlow(NamedTuple):
-    """An affine linear flow in blocks, and the guard that ends it: a signal that is linear in the state.
+    """A linear motion in decoupled equations, the blocks, and the guard that ends it: a signal linear in the state.
 
     Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. The guard is sum_j c_j . u_j(t) + Y(t). Its forced
     part is Y = sum_k sin_part_k sin(k phi) + cos_part_k cos(k phi), k = 1...H, at the phase phi = omega t + tau.
@@ -164,7 +164,10 @@ class GuardedFlow(NamedTuple):
     forced: Array
 
     def __getattr__(self, name: str) -> Any:
-        """Return a column or a pair of columns of the blocks, see Block and PAIRS, or one of the numbers, by name."""
+        """Return columns of ``blocks``, ``numbers`` or ``waves`` by name, such as ``lam``, ``rest`` or ``sin_part``.
+
+        The names are those of Block, PAIRS and ForcedBounds.
+        """
         return _named(name, (self.blocks, _OF_BLOCK), (self.numbers, _OF_NUMBERS), (self.waves, _OF_WAVES))
 
 
@@ -173,7 +176,10 @@ _OF_NUMBERS, _OF_WAVES = NUMBER._asdict(), {"sin_part": 0, "cos_part": 1}
 
 
 def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
-    """Return the columns of this name in the first of the tables that has them."""
+    """Return the columns ``name`` of the first array that has them; ``tables`` are arrays with their columns by name.
+
+    Raise AttributeError if no array has such columns.
+    """
     for table, columns in tables:
         if name in columns:
             return _plain(table[..., columns[name]])
@@ -186,9 +192,9 @@ def _plain(field: Array) -> Any:
 
 
 class OscillatorScalars(NamedTuple):
-    """Numbers of an oscillator: columns of Oscillator.head. Numbers in a lane come first.
+    """Numbers of an oscillator: the columns of Oscillator.head. The numbers that loops over many cells need come first.
 
-    top, bottom   the stops as the gap signal sees them, upper - y0 and lower - y0
+    top, bottom   stops of the gap counted from rest, upper - y0 and lower - y0
     R             coefficient of restitution
     cA2k          cA^2.k, minus the damping rate of the gap coordinate
     period        forcing period 2 pi / omega
@@ -196,7 +202,7 @@ class OscillatorScalars(NamedTuple):
     upper, lower  positions of the stops, infinite if missing
     symmetric     1 if z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
     gap_mass      1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
-    trace         trace of M^-1 C, the rate at which a flight contracts volume; with modes its mean over the phases
+    trace         trace of M^-1 C, the rate at which a flight contracts volume; its mean over phases if there are any
     growth        largest growth rate while nothing sticks, 0 if nothing grows
     """
 
@@ -220,25 +226,26 @@ HEAD = OscillatorScalars(*range(len(OscillatorScalars._fields)))
 _OF_HEAD = HEAD._asdict()
 
 OF_LANE = HEAD.upper
-"""Count of the numbers of an oscillator that a lane has: the first ones of the head."""
+"""Number of columns of Oscillator.head, the first ones, that loops over many cells copy for each cell in progress."""
 
 
 class Oscillator(NamedTuple):
-    """A machine for kernels: with one rigid contact, or with modes.
+    """A machine in the form for the compiled kernels: with one rigid contact, or with modes.
 
-    gap          free flight. Its guard is y(t) - y0, seen from rest_y = y0. Its column k is the direction of an impact,
-                 cA.k = 1, c.k = 0
+    gap          free flight. Its guard is y(t) - y0, with y0 the gap coordinate at rest. Its column k is the direction
+                 of an impact, cA.k = 1, c.k = 0
     to_physical  (2n, 2n) (displacements, velocities) of block coordinates (h_1, h_1', h_2, ...)
     to_blocks    (2n, 2n) its inverse
     gap_row      (n,) y = gap_row . displacements
     head         (HEAD,) numbers, see OscillatorScalars; each is an attribute too
-    tau          forcing phase at a section
+    tau          forcing phase at a section t = k T, T the forcing period
     sticking     the mode in which the upper stop of one rigid contact holds, a HybridModes of one mode and one signal,
                  the force by which the stop holds y. States are counted from rest. The lower stop holds in the same
                  mode while the signal is positive. Empty for machines with modes
     table        the ModeTable of a machine with modes; empty for machines with one rigid contact
 
-    The gap coordinate y of a machine with one rigid contact moves between two stops, or one.
+    A mode is a set of linear equations of motion between two events; a block is one of its decoupled equations. The gap
+    coordinate y of a machine with one rigid contact moves between two stops, or on one side of a single stop.
 
     In a machine with modes, states between periods are in the blocks of ``gap`` in any mode. They are the blocks of the
     undamped modes of the first phase with all contacts open, no force and no load, without a guard. Their eta is the
@@ -265,7 +272,7 @@ class Oscillator(NamedTuple):
 
     @property
     def has_modes(self) -> bool:
-        """True if the law changes by more than one rigid contact."""
+        """True if the equations of motion change in other ways than by impacts on one rigid contact."""
         return bool(self.table.codes.shape[-1] > 0)
 
     @property
@@ -275,7 +282,10 @@ class Oscillator(NamedTuple):
 
     @property
     def contacts(self) -> tuple[Array, Array, Mask]:
-        """Rows (N, C, n), lower and upper stops (N, C, 2) of the contacts of many machines; mask (C,) of rigid ones."""
+        """Contacts of many machines: rows (N, C, n), lower and upper stops (N, C, 2), mask (C,) of rigid contacts.
+
+        A row has the weights of the displacements in the coordinate that the stops limit.
+        """
         if self.has_modes:
             machines = self.table.machines
             return machines.row, machines.stops, ~machines.soft.any(axis=0)
@@ -283,16 +293,22 @@ class Oscillator(NamedTuple):
 
     @property
     def rigid_stops(self) -> list[tuple[Array, Array, Array]]:
-        """Row (N, n), upper and lower stop (N,) of each rigid contact of many machines."""
+        """Row (N, n), upper stop (N,) and lower stop (N,) of each rigid contact of many machines.
+
+        A row has the weights of the displacements in the coordinate that the stops limit.
+        """
         rows, stops, rigid = self.contacts
         fields = [(rows[:, c], stops[:, c, 1], stops[:, c, 0]) for c in np.flatnonzero(rigid)]
         return [(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)) for a, b, c in fields]
 
     def with_modes(self, act: Callable[[Rows], Any], rows: Rows) -> Any:
-        """Call ``act`` for these rows of many machines, and again for rows that missed a mode, after building the mode.
+        """Call ``act`` for machines ``rows``, build modes that it found missing, and call it again for those machines.
 
-        A kernel leaves a motion unchanged if a mode is missing. Return the result of the last call. ``act`` is called
-        even without rows, which compiles its kernels.
+        act   function of row indices that runs a kernel
+        rows  rows of many machines
+
+        A mode is a set of linear equations between two events. A kernel leaves a motion unchanged if a mode is missing.
+        Return the result of the last call. ``act`` is called even without rows, which compiles its kernels.
         """
         result = act(rows)
         while len(rows := self.table.build_missing(rows)):
@@ -316,7 +332,7 @@ class SingleContactMachines(NamedTuple):
     mass, damping, stiffness  (N, n, n) matrices
     gap_row, load             (N, n) row of the gap coordinate, and constant load
     force_sin, force_cos      (N, H, n) amplitudes of the force
-    omega, tau                (N,) forcing frequency, and forcing phase at a section
+    omega, tau                (N,) forcing frequency, and forcing phase at the sections t = k T
     upper, lower              (N,) stops; a stop at infinity does not exist
     R                         (N,) coefficient of restitution
 
@@ -343,19 +359,22 @@ class SingleContactMachines(NamedTuple):
 
 
 def empty(axes: Any, N: int) -> Any:
-    """Return a record of N without numbers, with this number of axes in each field; None stays None."""
+    """Return a named tuple of arrays for N machines without numbers: every axis after the first has length 0.
+
+    ``axes`` is such a tuple with the number of axes of each field; None stays None.
+    """
     return map_fields(axes, lambda count: np.zeros((N, *(0,) * (count - 1))))
 
 
 def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:
-    """Return the same record with ``act`` applied to every field, also in nested records; None stays None."""
+    """Return a named tuple with ``act`` applied to every field of ``record``, also in nested ones; None stays None."""
     if isinstance(record, tuple):
         return type(record)(*(map_fields(field, act) for field in record))
     return None if record is None else act(record)
 
 
 def at_rows(record: Any, rows: Rows) -> Any:
-    """Return these rows of a record of many, in this order."""
+    """Return a named tuple like ``record`` with only these rows of every array, in this order."""
 
     def take(record: Any) -> Any:
         return map_fields(record, lambda field: field.take(rows, axis=0))
@@ -366,15 +385,16 @@ def at_rows(record: Any, rows: Rows) -> Any:
 
 
 def take_one(oscillators: Any, k: int) -> Any:
-    """Return oscillator k of many.
+    """Return oscillator k of a record of many oscillators.
 
-    The arrays are views, so a mode that the oscillator misses is missing in the table of all.
+    Its arrays are views of those of all. If a kernel notes in them that a mode, a set of linear equations, is missing,
+    the table of all shows it too.
     """
     one: Any = map_fields(oscillators, lambda field: field[k] if field.ndim > 1 else float(field[k]))
     return one
 
 
 def many_of(record: Given) -> Given:
-    """Return one record as a record of many, with views of the same arrays."""
+    """Return one machine or motion as a record of many with a single row, with views of the same arrays."""
     many: Given = map_fields(record, lambda field: np.asarray(field)[None])
     return many

@@ -78,7 +78,7 @@ def near_name(name: str, valid: list[str]) -> str:
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
-    """Return one line for an unknown name: the nearest known name, or all of them."""
+    """Return the one-line error message for an unknown name, with the nearest known name or with all known names."""
     names = list(valid)
     near = near_name(name, names)
     hint = f"did you mean {near!r}?" if near else f"known: {', '.join(names)}"

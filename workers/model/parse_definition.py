@@ -49,7 +49,7 @@ PARAMETER_KEYS: dict[str, Any] = {
 def read_parameters(
     machine: Mapping[str, Any], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> tuple[Parameter, ...]:
-    """Return all parameters of a table [system]: omega, its own, tau, then the initial values.
+    """Return all parameters of a table [system]: omega, the system's own, tau, then the initial values.
 
     The initial values are those of coordinates and velocities. Omega and tau of a force, and the initial values, need
     no entry: the table may change their default, range and words. A single number or expression is a default. With a
@@ -215,7 +215,11 @@ def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> 
 
 
 def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tuple[tuple[str, Expression], ...]:
-    """Return the names of ``let`` with their expressions, in the order of their use."""
+    """Return the entries of the table ``let``, names for expressions, each before the expressions that use it.
+
+    known     names that the expressions may use besides each other
+    reserved  names of parameters, which ``let`` may not define again
+    """
     table = read_table("system.let", value)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
@@ -249,7 +253,7 @@ def symbol_of(name: str) -> str:
 
 
 def check_not_reserved(definition: Definition, parameters: Iterable[Parameter]) -> None:
-    """Raise DefinitionError at the first name that an atlas reserves."""
+    """Raise DefinitionError at the first coordinate, velocity or parameter with a name that an atlas uses itself."""
     names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
     names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
     for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():

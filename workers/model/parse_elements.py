@@ -19,9 +19,8 @@ PHASES = 16
 SPRINGS = 4
 """Maximum number of springs with a law."""
 LAWFUL = 6
-"""Maximum number of contacts, springs and friction elements of a machine with a law: its mode numbers must fit a
-double.
-"""
+"""Maximum number of contacts, springs and friction elements of a machine with a force law: the numbers of its modes,
+the combinations of their states, must fit a double."""
 
 _SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact without a table
 _SOFT = (*PAD, "release", *LAW)
@@ -128,7 +127,10 @@ def read_springs(table: Mapping[str, Any], known: Collection[str], n: int) -> tu
 
 
 def check_element_count(*elements: Collection[Contact] | Collection[Friction] | Collection[Spring]) -> None:
-    """Raise DefinitionError if a machine with a law has too many elements for its modes to be numbered."""
+    """Raise DefinitionError if a machine with a force law has too many elements for its modes to be numbered.
+
+    A mode is a set of linear equations, one for each combination of the states of contacts and friction.
+    """
     laws = [element.law for kind in elements for element in kind]
     if any(law is not None for law in laws) and len(laws) > LAWFUL:
         raise DefinitionError(
@@ -140,7 +142,10 @@ def check_element_count(*elements: Collection[Contact] | Collection[Friction] | 
 def _read_law(
     where: str, table: Mapping[str, Any], known: Collection[str], kind: type, instead: Collection[str]
 ) -> dict[str, Any]:
-    """Return the law of a contact or friction, which replaces the keys ``instead``; empty if there is none."""
+    """Return the force law in a table of a contact or friction, by the keys LAW; empty if there is no law.
+
+    ``instead`` are the keys that a law replaces.
+    """
     if "law" not in table:
         for key in (key for key in LAW if key in table):
             raise DefinitionError(f"{where}.{key}: found without a law; give law too, or leave this key out")
@@ -154,7 +159,13 @@ def read_phases(
     table: Mapping[str, Any], known: Collection[str], n: int,
     contacts: Collection[Contact], friction: Collection[Friction],
 ) -> tuple[Phase, ...]:  # fmt: skip
-    """Return the phases in a table [system] of n coordinates with these elements."""
+    """Return the phases, parts of the forcing period, in a table [system] with these contacts and friction.
+
+    table     the table, of a system with n coordinates
+    known     names that expressions may use
+    contacts  contacts whose constants phases may change
+    friction  friction elements whose constants phases may change
+    """
     parts = read_tables("system.phases", table.get("phases", []))
     if len(parts) > PHASES:
         raise DefinitionError(f"system.phases: found {len(parts)}, must be at most {PHASES}")
@@ -180,7 +191,7 @@ def read_phases(
 def _read_changes(
     where: str, value: object, elements: Collection[Contact] | Collection[Friction], known: Collection[str]
 ) -> Changes:
-    """Return the changes of elements by a phase, in the order of the elements and of their constants."""
+    """Return the constants of contacts or friction that a phase changes, in the order of elements and of constants."""
     table = read_table(where, value)
     names = [element.name for element in elements]
     for name in table:

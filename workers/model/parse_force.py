@@ -57,7 +57,10 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
 
 
 def _read_order(where: str, part: Mapping[str, Any]) -> Fraction:
-    """Return the order, a whole number or a ratio in quotes; a force in [system] itself has order 1."""
+    """Return the order of a harmonic from its table ``part``: a whole number, or a ratio in quotes.
+
+    A force that stands in [system] itself has order 1.
+    """
     order = part.get("order", 1 if where == "system" else None)
     if isinstance(order, int) and not isinstance(order, bool) and order > 0:
         return Fraction(order)

@@ -20,7 +20,13 @@ def read_law_back(where: str, table: Mapping[str, Any], law: Mapping[str, Any], 
 
 
 def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind: type) -> dict[str, Any]:
-    """Return the entries LAW of an element of this kind."""
+    """Return the force law in an element's table, with the error bound and range of an expression, by the keys LAW.
+
+    where  name of the table in error messages
+    table  the table, with the key ``law``
+    known  names that expressions may use
+    kind   class of the element: Contact, Friction or Spring
+    """
     law, argument = table["law"], ARGUMENTS[kind]
     if isinstance(law, str):
         if argument in known:
@@ -55,7 +61,12 @@ def _read_rows(where: str, law: Any, known: Collection[str], argument: str, othe
 
 
 def read_spring(where: str, value: object, known: Collection[str], n: int) -> Spring:
-    """Return a spring of a machine of n coordinates."""
+    """Return the spring that a table describes, for a machine of n coordinates.
+
+    where  name of the table in error messages
+    value  the table
+    known  names that expressions may use
+    """
     one = read_table(where, value, SPRING_KEYS)
     for key in ("name", "row", "law"):
         if key not in one:

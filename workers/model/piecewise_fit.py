@@ -58,9 +58,15 @@ def fewest(
 def _segment(
     run: Array, f: Array, bound: float, i: int, at: float, y: float, minimum: float
 ) -> tuple[int, float, float]:
-    """Return the end of the longest segment from (at, y), at or after point i.
+    """Return index, argument and value of the end of the longest segment that begins at (at, y).
 
-    The end is given by the last point before it, its argument and its value.
+    run      (K,) arguments of the samples
+    f        (K,) values of the law there
+    bound    largest error of the segment
+    i        index of the last sample at or before ``at``
+    minimum  lower bound of the slope
+
+    The index is that of the last sample at or before the end.
     """
     look = FIRST_LOOK
     while True:

@@ -69,7 +69,7 @@ class System:
     definition  its entries as expressions
     version     version of the definition, raised when a packaged definition changes a number
     packaged    True if the name alone identifies it
-    axes        usual axes, (name, low, high)
+    axes        axes of the usual map, each (name of a parameter, low, high)
     title       title, for pictures and lists
     source      reference of the system
     equation    equation of motion, as text
@@ -119,25 +119,29 @@ class System:
 
     @property
     def exponents(self) -> int:
-        """Number of exponents of a motion: one per component of the state, except a displacement that may drift."""
+        """Number of Lyapunov exponents of a motion: one per component of the state, none for a drifting position."""
         return len(self.states) - bool(self.definition.drift)
 
     @property
     def unused_parameters(self) -> tuple[str, ...]:
-        """Names of its own parameters that no entry uses, and that therefore have no effect."""
+        """Names of the system's own parameters that no entry of the definition uses: they have no effect."""
         without = {OMEGA, TAU, *self.states, *self.definition.used}
         return tuple(parameter.name for parameter in self.parameters if parameter.name not in without)
 
     @property
     def has_modes(self) -> bool:
-        """True if its law changes by more than one contact with a restitution, see model/hybrid_modes.py."""
+        """True if the equations of motion change in other ways than by impacts on one rigid contact.
+
+        Such a machine has soft contacts, several or no contacts, friction, phases, springs with a law, or no force. It
+        moves through modes, sets of linear equations, see model/hybrid_modes.py.
+        """
         definition = self.definition
         elements = definition.friction or definition.phases or definition.springs
         return bool(elements) or definition.unforced or [contact.rigid for contact in definition.contacts] != [True]
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
-        """``own_variables``, each with its entry."""
+        """Pairs (entry, variable) of ``own_variables``; the entry is the key that asks for the variable."""
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", DRIFT_PER_PERIOD)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
@@ -146,17 +150,24 @@ class System:
 
     @property
     def regime(self) -> Variable:
-        """Variable of the regime of its motions, whose codes have the words for them."""
+        """Result variable for the regime of a motion, described in words that suit machines with or without a force."""
         return in_time(REGIME) if self.definition.unforced else REGIME
 
     @property
     def own_variables(self) -> tuple[Variable, ...]:
-        """The results of this system alone."""
+        """Result variables that only this system has, such as those of its contacts, friction and measures."""
         variables = tuple(variable for _, variable in self._own)
         return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
-        """Return the results of a cell, see ``results.result_variables``, with the results of this system alone."""
+        """Return the variables of all results of a cell: those of every system, and those of this system alone.
+
+        settings    settings of the solver, which may add results
+        attractors  True for cells with all their attractors
+        basins      True for cells of basins of attraction
+
+        The results of every system are described in ``results.result_variables``.
+        """
         observed = tuple(variable for observable in self.observables(settings) for variable in observable.variables)
         variables = result_variables(settings, attractors, basins, self.own_variables + observed)
         if self.definition.friction:
@@ -182,12 +193,12 @@ class System:
         return observables
 
     def must_offer(self, what: str, unforced: bool = False) -> None:
-        """Raise DefinitionError, in one line, if ``what`` does not exist for this system.
+        """Raise DefinitionError, in one line, if results of the kind ``what`` do not exist for this system.
 
-        what      noun in the plural
-        unforced  True if ``what`` exists without a force
+        what      the results, a noun in the plural such as "branches"
+        unforced  True if these results exist for machines without a force
 
-        It never exists if a coordinate drifts, and without a force only if ``unforced``.
+        They never exist if a coordinate drifts.
         """
         if not unforced:
             self.must_have_force(what)
@@ -195,14 +206,15 @@ class System:
             raise DefinitionError(f"system {self.name!r}: {what} do not exist if a coordinate drifts")
 
     def must_have_force(self, what: str) -> None:
-        """Raise DefinitionError, in one line, if there is no force, without which ``what`` does not exist."""
+        """Raise DefinitionError, in one line, if the system has no force, without which ``what`` does not exist."""
         if self.definition.unforced:
             raise DefinitionError(f"system {self.name!r}: {what} do not exist for a machine without a force")
 
     def with_cycle(self, values: Mapping[str, Array], cycle: float | None) -> dict[str, Array]:
-        """Return values (N,) of each parameter of machines without a force, simulated over cycles of this length.
+        """Return values (N,) of each parameter, with omega such that a period of the machine has the length ``cycle``.
 
-        They are unchanged if ``cycle`` is None. Raise ValueError for a length if there is a force.
+        The length is that of a limit cycle of machines without a force. The values are unchanged if ``cycle`` is None.
+        Raise ValueError for a length if there is a force.
         """
         if cycle is None:
             return dict(values)
@@ -230,14 +242,17 @@ class System:
         return values
 
     def build(self, values: Mapping[str, float]) -> Any:
-        """Return the oscillator at one value of each parameter; raise InvalidError, a ValueError, if there is none."""
+        """Return the oscillator at one value of each parameter; raise InvalidError, a ValueError, if it is invalid."""
         oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
         return take_one(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
-        """Return the oscillators at values (N,) of each parameter, and the reason against each, or NO_REASON."""
+        """Return the oscillators at values (N,) of each parameter, and codes (N,) of the reasons why one is invalid.
+
+        The code of a valid oscillator is NO_REASON.
+        """
         if self.has_modes:
             hybrids, reasons = build_hybrid(self.definition.hybrid(values))
             return hybrids, self.out_of_range(values, reasons)
@@ -247,7 +262,10 @@ class System:
         return oscillators, self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return these reasons (N,), replaced if values (N,) of parameters are out of their ranges."""
+        """Return the codes ``reasons`` (N,), with OUT_OF_RANGE where a value (N,) of a parameter is out of its range.
+
+        ``reasons``, why machines are invalid, changes in place.
+        """
         admitted = [p.admits(values[p.name]) for p in self.parameters if p.name in values]
         if self.definition.period:
             omega, _ = self.definition.forcing(values)
@@ -263,7 +281,7 @@ class System:
         raise KeyError(self.unknown_name_message(name))
 
     def unknown_name_message(self, name: str, kind: str = "parameter") -> str:
-        """Return one line for an unknown parameter name."""
+        """Return the one-line error message for an unknown name; ``kind`` is the noun before the name."""
         if self.definition.unforced and name in (OMEGA, TAU):
             return f"{kind} {name!r}: system {self.name!r} has no force; leave this name out"
         if self.definition.period and name == OMEGA:

@@ -62,9 +62,10 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
     most_cells   maximum number of cells; beyond it the page has the finest overview that fits
 
     In an atlas of all attractors each cell shows the attractor with the largest share. Numbers are exact if they fit.
-    Otherwise floats lose digits, down to three and the exponent last, and then variables are left out; the page reports
-    both. The file is replaced as a whole or not at all, and the same atlas gives the same bytes. Raise InputError if
-    the suffix is not .html, the path cannot be written, or the dataset is not a plane.
+    Otherwise floats lose digits, down to three, those of the largest Lyapunov exponent last. If that is not enough,
+    variables are left out. The page reports both. The file is replaced as a whole or not at all, and the same atlas
+    gives the same bytes. Raise InputError if the suffix is not .html, the path cannot be written, or the dataset is not
+    a plane.
     """
     target = validate_path(path)
     check_target(target, FORMATS)

@@ -25,7 +25,7 @@ STEP = 0.6
 """Maximum step of a branch that leads from a cell past an edge, as a share of the distance between cells."""
 
 SAME_EVENT_DISTANCE = 1e-8
-"""Distance, relative to the width of the plane, below which two events with the same orbit are one event."""
+"""Distance in the plane, relative to its width, below which two bifurcations or grazes with the same orbit are one."""
 
 NEAR_CURVE = 5e-3
 """Maximum distance, relative to the width of the plane, between an event and the polyline of a curve that may contain
@@ -83,7 +83,7 @@ class FollowedCurve(NamedTuple):
     orbits         orbits of the points
     contact_times  times, at each point, of the orbit's contacts at zero velocity
     conditions     condition of the event on each orbit
-    unstable (N,)  number of multipliers with modulus above 1 not counting the event's own
+    unstable (N,)  number of multipliers with modulus above 1, not counting the event's own
     corners        points of codimension two: kind, and parameters (2,)
     ends           why the curve ends at its first and its last point
     """

@@ -20,7 +20,7 @@ from atlas.task.store_ref import PartReport, StoreRef, WorkerRefusedError, store
 
 @dataclass(frozen=True)
 class CurveJob:
-    """A job for one task of a search. ``run_and_store`` runs it in the calling process.
+    """A job for one task of a search for curves. ``run_and_store`` runs it in the calling process.
 
     index      index of the job
     name       name under which the result is stored, as a part of the store
@@ -59,7 +59,7 @@ def run_and_store(job: CurveJob) -> PartReport:
 
 
 def read_part(handle: AtlasStore, name: str) -> dict[str, Any]:
-    """Return the stored result of a task by its name. Raise RefusedError if the store does not have it."""
+    """Return the stored result of a task by its name. Raise WorkerRefusedError if the store does not have it."""
     part: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
     return part
 

@@ -131,9 +131,9 @@ def _goes_on(search: CurveSearch, k: int) -> bool:
 
 
 def _after(points: NDArray[np.float64], at: NDArray[np.float64]) -> int:
-    """Return the index of the curve point after which a position (2,) on the curve comes.
+    """Return the index of the curve point that comes just before a position (2,) on the curve, or lies there.
 
-    This is the first end of the nearest chord, the straight line between two consecutive points.
+    It is an end of the nearest chord, the straight line between two consecutive points.
     """
     if len(points) < 2:
         return 0

@@ -81,7 +81,7 @@ class Curve:
 
     @property
     def is_bounding(self) -> NDArray[np.bool_]:
-        """The mask (N,) of points at which all multipliers but the critical ones lie in the unit circle.
+        """The mask (N,) of points at which all multipliers but the critical multipliers lie in the unit circle.
 
         There the orbit is stable on one side of the curve.
         """
@@ -89,7 +89,7 @@ class Curve:
 
     @property
     def stable_parts(self) -> list[tuple[int, int]]:
-        """The intervals of the curve on which all multipliers but the critical ones lie in the unit circle.
+        """The intervals of the curve on which all multipliers but the critical multipliers lie in the unit circle.
 
         Each interval is given by the indices of its first and its last point.
         """
@@ -99,7 +99,9 @@ class Curve:
 
     @property
     def stable_lines(self) -> list[NDArray[np.float64]]:
-        """The points (N, 2) of each interval on which all multipliers but the critical ones lie in the unit circle."""
+        """The points (N, 2) of each interval of the curve whose orbits are stable on one side of it, see
+        ``stable_parts``.
+        """
         return [self.points[first : last + 1] for first, last in self.stable_parts]
 
     @property
@@ -152,7 +154,7 @@ def write_curves(handle: AtlasStore, curves: Curves) -> None:
 
 
 def read_curves(handle: AtlasStore) -> Curves | None:
-    """Return the curves of a store, None if it has none. Raise ChunkError if they are damaged."""
+    """Return the curves stored with an atlas, None if there are none. Raise ChunkError if they are damaged."""
     stored = read_group(handle, CURVES)
     if stored is None or stored[1].get("version") != VERSION:
         return None
@@ -163,7 +165,7 @@ def read_curves(handle: AtlasStore) -> Curves | None:
 
 
 def as_arrays(table: Curves) -> dict[str, StoredArray]:
-    """Return the curves as arrays with the dimensions ``curve``, ``point`` and ``corner``.
+    """Return the curves as arrays with the dimensions ``curve``, ``point`` and ``corner``, a point of codimension two.
 
     Points of all curves are concatenated, with the number of points of each in ``row_size``, as in CF's ragged arrays.
     """

@@ -81,9 +81,8 @@ class AttractorOrbitTable(OrbitTable):
 def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
     """Extend the A orbits by their U unseen mirror images, which no initial state has reached.
 
-    Return the cell (A + U,) of each orbit and unseen mirror image, and the row (A + U,) of its mirror image. Orbits
-    without an unseen mirror image have in the second array their own row if they are symmetric, and -1 if the machine
-    is not.
+    Return the cell (A + U,) of each orbit and unseen mirror image, and the row (A + U,) of its mirror image. That row
+    is the orbit's own if the orbit is symmetric, and -1 if the machine is not symmetric.
     """
     table, count = attractors, len(attractors)
     image = np.where(table.symmetric, np.arange(count), table.twin)

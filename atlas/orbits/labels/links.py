@@ -179,11 +179,11 @@ class AttractorOrbits(StoredOrbits):
         return reached, _change(many_of(orbits, start_values), arrived, self.family.model(end_values).omega)
 
     def follow_along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
-        """Return those pairs (N, 2) of orbits that a branch from cell to cell connects, and the change of the state for
+        """Return those pairs (N, 2) of orbits that are connected by a branch from cell to cell, and the change along
         each.
 
-        The change is the largest of any component of the section state, relative to the largest component on the orbit.
-        A branch that turns back on the way connects no pair.
+        The change is the largest change of a component of the section state, relative to the largest component on the
+        orbit. A branch that turns back on the way connects no pair.
         """
         attractors, pairs_on_branches, change = self.attractors, list[list[int]](), list[float]()
         reached = dict[tuple[int, int], Array | None]()
