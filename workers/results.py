@@ -22,12 +22,12 @@ class CodeMeaning:
 
 
 (
-    PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC, LOCKING,
-) = range(-1, 9)  # fmt: skip
+    PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC, LOCKING, REGULAR,
+) = range(-1, 10)  # fmt: skip
 
 REGIMES = tuple(CodeMeaning(code, name, name.replace("_", " ")) for code, name in enumerate((
     "pending", "no_impact", "periodic", "quasiperiodic", "chaotic", "undetermined", "invalid", "failed", "aperiodic",
-    "locking",
+    "locking", "regular",
 ), PENDING))  # fmt: skip
 """Classes of motion."""
 
@@ -86,7 +86,8 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
      "it repeats, but a multiplier is 1 within its error: neighbours repeat too, and none is known to attract"),
     ("at_equilibrium", UNDETERMINED,
      "it stands in an equilibrium that is not known to attract motion nearby: move the initial state off it"),
-    ("conservative", UNDETERMINED, "nothing in the machine loses energy, so that no motion attracts"),
+    ("conservative", UNDETERMINED,
+     "nothing in the machine loses energy, and its budget ends before its motion is clearly regular or chaotic"),
     ("dies_away", UNDETERMINED, "nothing drives it: its motion dies away, but is not at rest when its budget ends"),
     ("flies_off", UNDETERMINED, "it moves off at a constant speed, with no stop ahead: it never comes back"),
 )))  # fmt: skip
@@ -102,7 +103,7 @@ class InvalidError(ValueError):
 
 
 SOLVED = frozenset(regime.code for regime in REGIMES) - {PENDING}
-OF_MOTIONS = frozenset({NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, LOCKING})
+OF_MOTIONS = frozenset({NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, LOCKING, REGULAR})
 """Codes of the regimes whose cells have exponents. SOLVED has the codes of all regimes except pending."""
 
 
@@ -191,7 +192,10 @@ SUM_LAW_DEFECT = _number(
 )
 DRIFT_PER_PERIOD = _number("drift_per_period", f"mean advance of what drifts {PER_PERIOD}")
 SECTION = _number("section", "last section states", "sample", "state")
-CYCLE_PERIOD = _number("cycle_period", "time that a cycle takes; NaN unless periodic")
+CYCLE_PERIOD = _number("cycle_period", "time that a cycle takes; NaN unless the motion repeats")
+ENERGY_ERROR = _number(
+    "energy_error", "change of the energy of a machine that loses nothing, as a share of it; NaN for other machines"
+)
 PERIOD = count_of_orbit("period", "forcing periods per orbit; 0 unless periodic or without impact", endless=False)
 _ALWAYS = (
     PERIOD,
@@ -248,8 +252,8 @@ SETTLED = _count("settled", "forcing periods until the motion is on the attracto
 _BY_NAME = {
     variable.name: variable
     for variable in (
-        LARGEST, ERROR, AVERAGE, SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE, SECTION, DRIFT_PER_PERIOD, *_ALWAYS,
-        *_COEXISTENCE, LABEL, SETTLED, REASON, REGIME,
+        LARGEST, ERROR, AVERAGE, SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE, SECTION, DRIFT_PER_PERIOD, ENERGY_ERROR,
+        *_ALWAYS, *_COEXISTENCE, LABEL, SETTLED, REASON, REGIME,
     )
 }  # fmt: skip
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from workers.cell.autonomous import convert_to_time
 from workers.cell.cell_batch import CellBatch, Results
-from workers.cell.measures import explain, measure
+from workers.cell.measures import explain, measure, measure_energy
 from workers.cell.observables import observe
 from workers.cell.solve import solve
 from workers.model.observables import VALUE
@@ -52,6 +52,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
         solve(cells)
         explain(cells, record.definition, params)
         measure(cells, record.definition, params)
+        measure_energy(cells)
         observe(cells, record.definition, params)
         if unforced:
             convert_to_time(cells, variables)

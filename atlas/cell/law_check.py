@@ -25,6 +25,9 @@ CELLS = 12
 FINER = 4.0
 """Factor by which the bound on the segments' error is reduced; the number of segments grows as its square root."""
 
+STEPS = "system.within"
+"""Entry of the bound of smooth coefficients, which has a number of steps."""
+
 MAX_ROWS = 20
 """Maximum number of cells of changed class that the text of a comparison lists."""
 
@@ -50,7 +53,7 @@ class LawCheck(Summary):
     """The comparison of the cells of a coarse plane by the original laws and by laws of twice as many segments.
 
     segments  for each law, by its entry, its number of segments at the defaults, in the original and in the finer
-              system
+              system; for ``within`` of the system, the numbers of steps
     cells     number of cells of the plane
     beyond    number of cells that are invalid in either system
     changed   cells of another class: values of the axes, class in the original and in the finer system
@@ -68,7 +71,7 @@ class LawCheck(Summary):
     def rows(self) -> list[tuple[str, ...]]:
         """The result of the comparison to show, as sentences."""
         lines = [
-            f"{where}: {coarse} segments at the defaults, compared with {fine}"
+            f"{where}: {coarse} {'steps' if where == STEPS else 'segments at the defaults'}, compared with {fine}"
             for where, (coarse, fine) in self.segments.items()
         ]
         invalid = f", {self.beyond} of them invalid" if self.beyond else ""
@@ -78,9 +81,7 @@ class LawCheck(Summary):
             lines.append(
                 f"states of periodic cells change by {size:.2g} at most, {share:.2g} of their size, at {_point(at)}"
             )
-        lines += [
-            f"{_point(at)}: {coarse}, with twice the segments {fine}" for at, coarse, fine in self.changed[:MAX_ROWS]
-        ]
+        lines += [f"{_point(at)}: {coarse}, with the finer ones {fine}" for at, coarse, fine in self.changed[:MAX_ROWS]]
         if len(self.changed) > MAX_ROWS:
             lines.append(f"... and {len(self.changed) - MAX_ROWS} more; --json lists all")
         return [(line,) for line in lines]
@@ -98,19 +99,27 @@ class LawCheck(Summary):
 
 
 def finer(spec: Spec) -> FinerLaws:
-    """Return the system of a spec with about twice as many segments of the laws that are expressions.
+    """Return the system of a spec with finer laws that are expressions, and finer steps of smooth coefficients.
 
-    The bound on the error of each law's segments is a quarter of the original bound. Raise InputError if no law is an
-    expression, if the finer laws have too many segments, or if the spec is a table of points.
+    Each bound is a quarter of the original bound, which takes about twice as many segments. Raise InputError if there
+    is no such law or coefficient, if the finer ones have too many segments or phases, or if the spec is a table of
+    points.
     """
     if spec.points:
         raise InputError("points: found a table of parameter sets; --laws takes a plane, [axes.NAME]")
-    record = replace(spec.system_def, definition=_finer(spec.system_def.definition))
-    segments = _segments(spec.system_def, record)
+    system = spec.system_def
+    record, within = replace(system, definition=_finer(system.definition)), system.definition.within
+    segments = _segments(system, record)
+    if within is not None:
+        try:
+            record = record.with_steps(within / FINER)
+        except ValueError as error:
+            raise InputError(f"a quarter of the bound: {error}") from None
+        segments[STEPS] = system.definition.pieces // 2, record.definition.pieces // 2
     if not segments:
         raise InputError(f"{spec.system}: no law is an expression; a law given as a table is exact")
     for where, (_, count) in segments.items():
-        if count > SEGMENTS:
+        if where != STEPS and count > SEGMENTS:
             raise InputError(
                 f"{where}: found {count} segments within a quarter of its bound, must be at most {SEGMENTS}"
             )

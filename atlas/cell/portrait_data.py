@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.cell.trajectory import CellTrajectory, modulation, samples_of
-from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
+from workers.results import QUASIPERIODIC, REGIME, REGULAR, SPECTRUM, UNDETERMINED
 
 Array = NDArray[np.float64]
 
@@ -42,10 +42,10 @@ def periods(orbit: CellTrajectory) -> int:
     It depends on the period of an orbit. For a torus, it covers one and a half turns of the modulation, if the path is
     that long.
     """
-    if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
-        return min(_span(orbit), max(_MIN_PERIODS, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
     if orbit.cycle is not None:
         return _CYCLES
+    if int(orbit.cell[REGIME.name]) in (QUASIPERIODIC, REGULAR):
+        return min(_span(orbit), max(_MIN_PERIODS, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
     return min(max(_MIN_PERIODS, int(orbit.cell["period"])), 2 * _MIN_PERIODS)
 
 

@@ -29,6 +29,7 @@ from workers.results import (
     QUASIPERIODIC,
     REASON,
     REGIME,
+    REGULAR,
     in_words,
 )
 
@@ -97,7 +98,7 @@ class CellTrajectory:
     @property
     def has_exact_exponents(self) -> bool:
         """True if the exponents are exact, as those of a periodic orbit, and not averages."""
-        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC, LOCKING)
+        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC, LOCKING, REGULAR)
 
     @cached_property
     def gap_row(self) -> Array:
@@ -156,7 +157,8 @@ def cell_orbit(
     machines = {name: np.array([value]) for name, value in parameters.items()}
     osc = take_one(record.build_many(record.with_cycle(machines, cycle))[0], 0)
     gap = section[:, : osc.gap_row.size] @ osc.gap_row
-    long = math.ceil(2.0 * modulation(gap)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
+    winds = int(cell[REGIME.name]) in (QUASIPERIODIC, REGULAR) and not closes
+    long = math.ceil(2.0 * modulation(gap)) if winds else 0
     times, states, impacts = path_of(record, values, closes or min(max(OPEN_PATH, long), MAX_PATH_PERIODS), cycle)
     return CellTrajectory(
         system=record,
@@ -250,6 +252,7 @@ def describe(orbit: CellTrajectory) -> str:
         per = PER_TIME if orbit.system.definition.unforced else "per period"
         words.append(f"{cell['impacts_per_period']:.3g} impacts {per}")
     words += ["its period unknown"] if code == LOCKING else []
+    words += [f"repeats after {orbit.cycle:.6g}"] if code == REGULAR and orbit.cycle is not None else []
     if cell["sticks"]:
         how = "at rest on a stop" if np.isnan(cell["impacts_per_period"]) else "sticking"
         words.append(f"{how} {100 * cell['stuck_fraction']:.3g} % of the time")

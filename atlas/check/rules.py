@@ -21,12 +21,14 @@ from workers.results import (
     NO_IMPACT,
     NO_REASON,
     NOT_STATIONARY,
+    OF_MOTIONS,
     PENDING,
     PERIODIC,
     QUASIPERIODIC,
     REASON,
     REASONS,
     REGIME,
+    REGULAR,
     UNDETERMINED,
     UNKNOWN_LABEL,
 )
@@ -46,6 +48,8 @@ TORUS = 1e-3
 
 Its first exponent is a weighted average, the others are plain averages.
 """
+ENERGY_ROUNDING = 1e-6
+"""Largest change of the energy of a machine that loses nothing, as a share of it."""
 AVERAGE_TOLERANCE = 1e-6
 """Maximum difference, in addition to five standard errors, between two kinds of averages of the largest exponent."""
 
@@ -112,11 +116,12 @@ def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     """Yield every rule that the results must obey, as pairs of its text and the mask of the cells that break it."""
     regime = arrays[REGIME.name]
-    yield f"regime is not one of {NO_IMPACT} to {LOCKING}", ~((regime >= NO_IMPACT) & (regime <= LOCKING))
+    yield f"regime is not one of {NO_IMPACT} to {REGULAR}", ~((regime >= NO_IMPACT) & (regime <= REGULAR))
     if spec.settings.exponents != "none":
         yield "aperiodic although the spec has exponents", regime == APERIODIC
     still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
-    known = ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC) | (regime == LOCKING)
+    known = np.isin(regime, [*OF_MOTIONS, APERIODIC])
+    attracted = known & (regime != REGULAR)
 
     for variable in spec.system_def.variables(spec.settings):
         if variable.name in (REGIME.name, REASON.name, "periods_used") or variable.name not in arrays:
@@ -138,7 +143,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
         if needed <= arrays.keys():
             yield from rules(arrays, known)
     if "symmetric" in arrays:
-        yield "symmetric outside orbits", ~(still | periodic) & arrays["symmetric"]
+        yield "symmetric outside orbits", ~(still | periodic | (regime == REGULAR)) & arrays["symmetric"]
     if "min_impact_speed" in arrays:
         speed = arrays["min_impact_speed"]
         yield "min_impact_speed is negative", speed < 0
@@ -155,12 +160,14 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     if "kaplan_yorke" in arrays:
         most = len(spec.system_def.states)
         yield f"kaplan_yorke is outside 0 to {most}", (arrays["kaplan_yorke"] < 0) | (arrays["kaplan_yorke"] > most)
+    if "energy_error" in arrays:
+        yield f"energy_error is above {ENERGY_ROUNDING:g}", arrays["energy_error"] > ENERGY_ROUNDING
     if "periods_used" in arrays:
         yield "periods_used is negative", arrays["periods_used"] < 0
     if LABEL.name in arrays:
         yield "label is not one of an attractor", arrays[LABEL.name] < BEYOND_TABLE
-        yield "label without an attractor", ~known & (arrays[LABEL.name] != UNKNOWN_LABEL)
-        yield "no label on an attractor", known & (arrays[LABEL.name] == UNKNOWN_LABEL)
+        yield "label without an attractor", ~attracted & (arrays[LABEL.name] != UNKNOWN_LABEL)
+        yield "no label on an attractor", attracted & (arrays[LABEL.name] == UNKNOWN_LABEL)
         yield "settled is negative", arrays["settled"] < 0
     if "survived" in arrays:
         yield from _survival_rules(spec, arrays)
@@ -212,6 +219,7 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     )  # the motion could stick elsewhere as well
     neutral = (largest == 0) & stays
     yield "largest is not below zero in a periodic cell", (regime == PERIODIC) & ~((largest < 0) | neutral)
+    yield "largest is not zero in a regular cell", (regime == REGULAR) & (largest != 0)
     yield "largest is above zero without impact", (regime == NO_IMPACT) & (largest > 0)
     if "average" in arrays:
         mean = arrays["average"].reshape(*regime.shape, -1)[..., 0]
@@ -235,8 +243,14 @@ def _cycles(arrays: Arrays) -> NDArray[np.float64]:
     return arrays.get("cycle_period", np.full(arrays[REGIME.name].shape, np.nan))
 
 
+def _orbits(arrays: Arrays) -> Mask:
+    """Return the mask of periodic cells, and of regular ones whose motion repeats."""
+    regime = arrays[REGIME.name]
+    return np.asarray((regime == PERIODIC) | ((regime == REGULAR) & np.isfinite(_cycles(arrays))))
+
+
 def _period_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
-    still, periodic, period = arrays[REGIME.name] == NO_IMPACT, arrays[REGIME.name] == PERIODIC, arrays["period"]
+    still, periodic, period = arrays[REGIME.name] == NO_IMPACT, _orbits(arrays), arrays["period"]
     yield "period is not 1 without impact", still & (period != 1)
     yield "period is not positive in a periodic cell", periodic & (period < 1)
     yield "period is not 0 outside orbits", ~(still | periodic) & (period != 0)
@@ -257,7 +271,7 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
 
 def _impact_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
-    still, periodic, sticks = arrays[REGIME.name] == NO_IMPACT, arrays[REGIME.name] == PERIODIC, arrays["sticks"]
+    still, periodic, sticks = arrays[REGIME.name] == NO_IMPACT, _orbits(arrays), arrays["sticks"]
     hits, mean = arrays["impacts_upper"] + arrays["impacts_lower"], arrays["impacts_per_period"]
     countless = np.isnan(mean)  # of a mass sticking on a stop; sticking friction does not make impacts countless
     for name in ("impacts_upper", "impacts_lower"):

@@ -11,6 +11,7 @@ from atlas.cli.output import print_table, to_json
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
 from atlas.spec.json_schema import spec_schema
+from atlas.spec.laws import step_lines
 from atlas.spec.system import parse_system, unused_lines
 from workers.model.system import System, find_system, system_names
 
@@ -91,7 +92,7 @@ def _print_system(system: System) -> None:
     if system.own_variables:
         click.echo()
         print_table("", ["result", "meaning", "unit"], [(v.name, v.long_name, v.units) for v in system.own_variables])
-    for line in unused_lines(system):
+    for line in (*step_lines(system), *unused_lines(system)):
         click.echo(f"\n{line}")
     if system.source:
         click.echo(f"\nsource: {system.source}")

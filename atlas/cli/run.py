@@ -34,6 +34,7 @@ from atlas.service.probe import add_probe, with_time
 from atlas.service.retry import retry as retry_store
 from atlas.service.run import run as run_spec
 from atlas.service.summary import RunSummary
+from atlas.spec.laws import check_steps
 from atlas.spec.spec import Spec
 from atlas.store.object_backend import open_backend
 from atlas.store.sidecar import sidecar_of
@@ -72,7 +73,7 @@ observe_option = click.option(
     is_flag=False,
     flag_value=CELLS,
     metavar="[N]",
-    help=f"Solve N x N cells, default {CELLS}, also with twice the segments of the laws, and list what changes.",
+    help=f"Solve N x N cells, default {CELLS}, also with laws of a quarter of the bound, and list what changes.",
 )
 @points_option
 @observe_option
@@ -93,11 +94,12 @@ def plan(
     estimate = make_plan(read, workers)
     backend = open_backend(out)
     check_not_packed(backend)
-    if backend.local is not None:
-        try:
+    try:
+        check_steps(read)
+        if backend.local is not None:
             check_free_space(estimate, backend.local)
-        except InputError as error:
-            print_status(f"atlas run will refuse this: {error}")
+    except InputError as error:
+        print_status(f"atlas run will refuse this: {error}")
     if probe:
         with progress.reporter(sys.stderr) as show:
             estimate = add_probe(estimate, show)

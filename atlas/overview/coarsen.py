@@ -35,9 +35,11 @@ from workers.results import (
     LOCKING,
     PENDING,
     PERIODIC,
+    QUASIPERIODIC,
     REASON,
     REGIME,
     REGIMES,
+    REGULAR,
     UNDETERMINED,
     Variable,
     of_one,
@@ -54,11 +56,12 @@ POSITIVE = Variable("largest_positive", "float64", np.nan, "share of positive va
 PERIOD_COUNT = Variable("period_count", "int32", 0, "cells behind period and impacts", "1")
 CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
 """Code of the regime at each position along the dimension "class"."""
-_PLACES = {APERIODIC: CHAOTIC + 0.5, LOCKING: PERIODIC + 0.5}
+_PLACES = {APERIODIC: CHAOTIC + 0.5, LOCKING: PERIODIC + 0.5, REGULAR: QUASIPERIODIC + 0.5}
 _TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: _PLACES.get(int(CODES[i]), float(CODES[i]))))
 """Positions along the dimension "class" in the order in which ties are decided, the later one winning.
 
-It is the order of the table of regimes, but ``aperiodic`` follows ``chaotic``, and ``locking`` follows ``periodic``.
+It is the order of the table of regimes, but ``aperiodic`` follows ``chaotic``, ``locking`` follows ``periodic``, and
+``regular`` follows ``quasiperiodic``.
 """
 
 WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own_attractor", "mirror")

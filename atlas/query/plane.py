@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from atlas.query.window import LOG_SPAN, axis_names, cell_edges, is_log
 from atlas.spec.cells import is_uniform
 from atlas.spec.system import stored_system
-from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, REGIME
+from workers.results import APERIODIC, OF_MOTIONS, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -91,7 +91,7 @@ def sort_axes(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
 
 def determined(regime: NDArray[np.int8]) -> Cells:
     """Return the mask of cells whose class of motion is known, such as periodic or chaotic."""
-    return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC) | (regime == LOCKING)
+    return np.isin(regime, [*OF_MOTIONS, APERIODIC])
 
 
 @dataclass(frozen=True)

@@ -90,12 +90,12 @@ def with_one_stop(system: System) -> tuple[System, ...]:
     or springs with a law make the impact-free motion nonlinear.
     """
     definition = system.definition
-    if definition.friction or definition.phases or definition.springs:
+    if definition.friction or definition.phases or definition.within or definition.springs:
         what = (
             "friction"
             if definition.friction
             else "phases of the forcing period"
-            if definition.phases
+            if definition.phases or definition.within
             else "springs with a law"
         )
         raise InputError(

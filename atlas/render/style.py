@@ -14,7 +14,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.typing import ColorType
 
 from atlas.store.schema import REGIME_COLORS
-from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC
+from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGULAR
 
 DPI = 300.0
 """Default dots per inch of a file."""
@@ -87,7 +87,7 @@ def drawing_context(settings: Mapping[str, Any] | None = None) -> Iterator[None]
 TEXTURE = "#8c8c8c"
 """Grey of hatches."""
 
-INK = {**REGIME_COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
+INK = {**REGIME_COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020", REGULAR: "#c8a000"}
 """Colour of each regime for points and lines on white, where pale colours of areas are invisible."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}

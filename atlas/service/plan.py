@@ -14,6 +14,7 @@ from atlas.formatting import Summary, byte_size, count_of, duration, plural
 from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import OverviewLevels
 from atlas.platform import processors
+from atlas.spec.laws import check_steps
 from atlas.spec.spec import MAX_AXES, Spec
 from atlas.spec.system import unused_lines
 from atlas.store.object_backend import StoreBackend
@@ -226,10 +227,12 @@ def plan_of_run(spec: Spec, backend: StoreBackend, handle: AtlasStore | None, wo
     workers  number of workers
     tile     index of a tile to be solved alone, None to solve all
 
-    Raise InputError if a new store cannot be created, if its disk is too small, or if ``tile`` is not the index of a
-    tile.
+    Raise InputError if a new store cannot be created, if its disk is too small, if smooth coefficients have too few
+    steps, or if ``tile`` is not the index of a tile.
     """
     plan = make_plan(spec, workers, None if handle is None else handle.tile)
+    if handle is None:
+        check_steps(spec)
     if handle is None and backend.local is not None:
         check_free_space(plan, backend.local)
     grid = plan.tiling.grid

@@ -54,6 +54,9 @@ def equation_of(system: System) -> str:
         changed = ", ".join(_changes(phase))
         if changed:
             lines.append(f"from {_number(phase.start)} of the period on: {changed}")
+    if machine.within is not None:
+        bound = f"{machine.pieces // 2} steps, within {machine.within:g}"
+        lines.append(f"phase from 0 to 2 pi in the forcing period, from the section on: {bound}")
     for spring in machine.springs:
         y = _sum(zip(spring.row, machine.coordinates, strict=True))
         lines.append(f"spring {spring.name} on y = {y}: pulls back by {_law(spring, counts)}")

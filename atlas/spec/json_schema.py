@@ -25,6 +25,7 @@ from workers.model.parse_definition import MANY, MAX_COORDINATES, PARAMETER_KEYS
 from workers.model.parse_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, SPRINGS, STOPS
 from workers.model.parse_force import HARMONIC_KEYS, HIGHEST, ORDER
 from workers.model.parse_laws import SPRING_KEYS
+from workers.model.smooth import SMOOTH_PHASES, STEPS
 from workers.model.system import DEFAULT, KEYS, LATEST, TEXTS, System, packaged_system, system_names
 from workers.settings import INTEGER_BOUNDS, VALID_WORDS, Settings
 
@@ -172,6 +173,8 @@ def _definition() -> Schema:
         "springs": _list(_element(SPRING_KEYS, [*SPRING_KEYS[:3]]), 0, SPRINGS),
         "phases": _list(_phase(row, matrix), 0, PHASES),
         "drift": _NAME,
+        "within": _ENTRY,
+        "steps": {**_whole(STEPS, SMOOTH_PHASES // 2), "multipleOf": 2},
         "measures": _map(_measure(row), 0, MEASURES),
         "let": _map(_ENTRY, 0, MANY),
         "parameters": _map(_own_parameter(), 0, MANY),

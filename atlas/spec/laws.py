@@ -1,6 +1,7 @@
-"""How far cells leave the range of laws that are given as expressions, and the error of these laws' segments.
+"""How far cells leave the range of laws that are given as expressions, and the errors of segments and steps.
 
-A law, such as the force of a contact, that is an expression is replaced by straight segments over a range.
+A law, such as the force of a contact, that is an expression is replaced by straight segments over a range. Coefficients
+that are expressions of the phase are replaced by steps.
 """
 
 from collections.abc import Iterable, Mapping
@@ -8,11 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from atlas.errors import InputError
 from atlas.formatting import plural
+from atlas.spec.spec import Spec
+from workers.model.elements import ALWAYS
 from workers.model.measures import LAW_ERROR, RANGE_SHARE
 from workers.model.system import System
 
-__all__ = ["LawUse", "law_lines", "law_names", "law_uses", "merged", "uses_of_cell"]
+__all__ = ["LawUse", "check_steps", "law_lines", "law_names", "law_uses", "merged", "step_lines", "uses_of_cell"]
+
+ROWS = 16
+"""Number of rows of a table of points at which steps are checked."""
 
 SHOWN = 1e-10
 """Error of the force, relative to the largest force, below which no digit that a terminal shows can change."""
@@ -86,3 +93,39 @@ def law_lines(uses: Mapping[str, LawUse]) -> list[str]:
         if words:
             lines.append(f"law of {name}: {'; '.join(words)}; compare a smaller bound, or atlas plan --laws")
     return lines
+
+
+def step_lines(system: System) -> list[str]:
+    """Return a line with the number of steps of smooth coefficients and their error; empty if there are none."""
+    definition = system.definition
+    if definition.within is None:
+        return []
+    steps, phases = definition.pieces // 2, definition.pieces * len(definition.phases or ALWAYS)
+    error, where = float(np.nanmax(system.step_errors())), "on the usual axes" if system.axes else "at the defaults"
+    return [
+        f"smooth coefficients: {steps} steps, {phases} phases; off by {error:.2g} {where}, bound {definition.within:g}"
+    ]
+
+
+def check_steps(spec: Spec) -> None:
+    """Raise InputError if the steps of smooth coefficients exceed their bound at ends or middles of a spec's axes.
+
+    Of a table of points some rows are checked.
+    """
+    system, within = spec.system_def, spec.system_def.definition.within
+    if within is None:
+        return
+    lines = {axis.name: np.unique(np.asarray(axis.values)[[0, len(axis) // 2, -1]]) for axis in spec.axes}
+    grids = dict(zip(lines, map(np.ravel, np.meshgrid(*lines.values())), strict=True))
+    for name, column in spec.points.items():
+        grids[name] = np.asarray(column)[np.linspace(0, len(column) - 1, ROWS).round().astype(int)]
+    count = len(next(iter(grids.values())))
+    values = {name: np.full(count, number, dtype=np.float64) for name, number in spec.parameters.items()}
+    errors = system.step_errors(values | grids)
+    k = int(np.argmax(np.where(np.isfinite(errors), errors, 0.0)))
+    if errors[k] > within:
+        at = ", ".join(f"{name} = {column[k]:.6g}" for name, column in grids.items())
+        raise InputError(
+            f"system.within: found {within:g}, but {system.definition.pieces // 2} steps are off by {errors[k]:.2g} at "
+            f"{at}; widen the usual axes of the system, system.axes, to these cells, or give more steps"
+        )

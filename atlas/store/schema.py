@@ -46,6 +46,7 @@ from workers.results import (
     PERIODIC,
     QUASIPERIODIC,
     REGIME,
+    REGULAR,
     UNDETERMINED,
     Variable,
 )
@@ -70,6 +71,7 @@ COMPONENT = "component"
 REGIME_COLORS = {
     PENDING: "#ffffff", NO_IMPACT: "#dddddd", PERIODIC: "#4477aa", QUASIPERIODIC: "#228833", CHAOTIC: "#cc3311",
     UNDETERMINED: "#b2aa62", INVALID: "#777777", FAILED: "#000000", APERIODIC: "#f8f0d0", LOCKING: "#72829a",
+    REGULAR: "#f5e63c",
 }  # fmt: skip
 """Colour of each regime code in pictures."""
 DIMENSIONS = {"state": COMPONENT}

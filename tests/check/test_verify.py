@@ -209,8 +209,8 @@ def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: 
 @pytest.mark.parametrize(
     ("name", "regime", "value", "rule"),
     [
-        ("regime", PERIODIC, 9, "regime is not one of 0 to 8"),
-        ("regime", PERIODIC, -1, "regime is not one of 0 to 8"),
+        ("regime", PERIODIC, 10, "regime is not one of 0 to 9"),
+        ("regime", PERIODIC, -1, "regime is not one of 0 to 9"),
         ("regime", CHAOTIC, APERIODIC, "aperiodic although the spec has exponents"),
         ("largest", CHAOTIC, np.nan, "largest is NaN"),
         ("largest", CHAOTIC, 0.01, "chaotic, but largest is not positive by 4 errors"),

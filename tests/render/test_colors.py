@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from atlas.render import class_maps, kinds, portrait_figure, scalar_maps, style, sweep
 from atlas.render.kinds import STABLE
 from atlas.store.schema import REGIME_COLORS
-from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
+from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, REGULAR, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
 SIGHT = {
@@ -26,7 +26,7 @@ EVERY_SIGHT = SIGHT | {
 _REGIMES = {r.name: REGIME_COLORS[r.code] for r in REGIMES if r.name not in ("pending", "periodic")}
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
-_PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined", "locking")}
+_PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined", "locking", "regular")}
 _PERIODS = {f"period {first}": color for first, _, color in class_maps.PERIODS}
 _CHAOS = {f"chaos {i}": tuple(scalar_maps.CHAOS(i / 4)[:3]) for i in range(5)}
 
@@ -44,7 +44,8 @@ PALETTES = {
     "impacts": _REGIMES | {color: color for pair in class_maps.HUES.values() for color in pair} | _UNLISTED,
     "spectrum": {f"exponent {i}": sweep.color_of(i) for i in range(4)},
     "points of a sweep": {
-        str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, LOCKING)
+        str(code): style.INK[code]
+        for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, LOCKING, REGULAR)
     },
     "events": {kind: look.color for kind, look in style.EVENT_STYLES.items() if kind not in OF_A_COLOR},
     "hysteresis": dict(zip("ab", sweep.COLORS, strict=True)),

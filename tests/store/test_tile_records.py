@@ -322,6 +322,7 @@ def killed_everywhere(
     raise AssertionError
 
 
+@pytest.mark.slow
 def test_records_are_right_whenever_a_run_is_killed_that_solves_lost_tiles_again(whole: AtlasStore) -> None:
     tiles = ((0, 0), (1, 1), (2, 1))
     for index in tiles:
@@ -354,6 +355,7 @@ def test_records_are_right_whenever_a_repair_is_killed_that_drops_tiles(whole: A
     assert changes == [f"put {RECORDS}/c.0.0.0", "remove regime/c/0/1"]
 
 
+@pytest.mark.slow
 def test_records_are_right_whenever_a_worker_is_killed_that_writes_a_first_tile(whole: AtlasStore) -> None:
     forget_records(whole, [(0, 1)])
     drop_tile(whole, (0, 1))

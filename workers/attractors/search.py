@@ -20,7 +20,7 @@ from workers.attractors.matching import (
 from workers.cell.autonomous import AutonomousSchedule, convert_to_time, course_of
 from workers.cell.cell_batch import CellBatch
 from workers.cell.event_trail import trails
-from workers.cell.measures import explain, measure
+from workers.cell.measures import explain, measure, measure_energy
 from workers.cell.observables import observe
 from workers.cell.outcome import end_impact_free, end_stopped
 from workers.cell.schedule import NEAR_LATER
@@ -241,6 +241,7 @@ class MotionSearch:
         """
         explain(self.cells, self.record.definition, self.params)
         measure(self.cells, self.record.definition, self.params)
+        measure_energy(self.cells)
         observe(self.cells, self.record.definition, self.params)
         if self.cells.unforced:
             convert_to_time(self.cells, self.variables)

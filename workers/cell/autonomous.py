@@ -13,8 +13,8 @@ from workers.cell.event_trail import AT_ONE_TIME, EventTrail, passages, trails, 
 from workers.cell.exponents import kaplan_yorke
 from workers.cell.interval import batch_of, begin, run
 from workers.cell.orbits import end_on_orbits
-from workers.cell.outcome import end_impact_free, put_averaged, put_periodic, write_results
-from workers.cell.schedule import TORUS_RETURN, AdaptiveSchedule, Property, none_of
+from workers.cell.outcome import end_impact_free, put_averaged, put_contacts, put_periodic, put_regular, write_results
+from workers.cell.schedule import SEARCHING, TORUS_RETURN, AdaptiveSchedule, Property, none_of
 from workers.cell.vertex_rest import (
     Rest,
     is_at_equilibrium,
@@ -28,7 +28,7 @@ from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.orbit_from_motion import ASKED, reduce_symmetry
 from workers.kernel.cell_loops import physical_states
 from workers.kernel.hybrid.leg_record import LEG
-from workers.kernel.motion import RUNNING, STATUS, STUCK, WORK, WORK_OF_A_TRIAL
+from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, STUCK, WORK, WORK_OF_A_TRIAL
 from workers.model.family import NoOscillatorError, OrbitMachines
 from workers.model.natural_period import set_period
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
@@ -42,6 +42,7 @@ from workers.results import (
     PER_TIME,
     QUASIPERIODIC,
     REGIME,
+    REGULAR,
     UNDETERMINED,
     Variable,
 )
@@ -126,13 +127,15 @@ class AutonomousSchedule(VertexCourse):
         near    (N,) distance from a former state, relative to the motion, that counts as a return
 
         Cells whose motion is recognised end without results. An equilibrium is an orbit of the map over a natural
-        period, without events.
+        period, without events. A motion that loses nothing is on its cycle from the beginning, and is not examined
+        later.
         """
         known = self.is_known(rows)
         self.cells.is_active[rows[known]] = False
         rows, still = rows[~known], list[int]()
+        looks = ~self.cells.conservative[rows] | (self.stage[rows] == SEARCHING)
         cycles, rests = dict[int, tuple[LimitCycle, Array]](), dict[int, Rest]()
-        for r in rows.tolist():
+        for r in rows[looks].tolist():
             cycle, quiet = self._look(r)
             if cycle is not None:
                 cycles[r] = cycle
@@ -141,7 +144,7 @@ class AutonomousSchedule(VertexCourse):
             elif quiet:
                 still.append(r)
         remaining = end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
-        for r in rows[self.cells.is_active[rows]].tolist():
+        for r in rows[looks & self.cells.is_active[rows]].tolist():
             if r not in cycles and r not in rests and (rest := rest_of_turns(self.cells, r)) is not None:
                 rests[r] = rest
         put_rests(self.cells, rests)
@@ -307,24 +310,33 @@ def _repeats(cells: CellBatch, r: int) -> bool:
 def put_centres(cells: CellBatch, rows: Rows) -> None:
     """Write the results of cells whose states at all sections t = k T are equal, although they attract nothing.
 
-    Such motions stand in an equilibrium, or swing about a centre without damping.
+    Such motions stand in an equilibrium, or swing about a centre without damping. If the machine loses nothing,
+    such a swing is regular motion.
     """
     if not len(rows):
         return
-    reasons = np.where([is_at_equilibrium(cells, r) for r in rows.tolist()], np.int8(AT_EQUILIBRIUM), np.int8(CENTRE))
+    stands = np.array([is_at_equilibrium(cells, r) for r in rows.tolist()])
+    swings = rows[~stands & cells.conservative[rows]]
+    put_regular(cells, swings)
+    put_contacts(cells, swings, np.tile(NOTHING_COUNTED, (len(swings), 1)), np.ones_like(swings), np.zeros(len(swings)))
+    write_results(cells, swings, cycle_period=cells.oscillators.period[swings], period=1)
+    rows, stands = rows[cells.is_active[rows]], stands[cells.is_active[rows]]
+    reasons = np.where(stands, np.int8(AT_EQUILIBRIUM), np.int8(CENTRE))
     put_averaged(cells, rows)
     write_results(cells, rows, regime=UNDETERMINED, error=np.nan, reason=reasons)
 
 
 def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]]) -> None:
-    """Write the results of cells that converge to limit cycles.
+    """Write the results of cells that are on limit cycles or converge to them.
 
-    ``cycles_of`` has the cycle of each cell by row, with the times of the cycle's rarest event.
+    ``cycles_of`` has the cycle of each cell by row, with the times of the cycle's rarest event. On a cycle of a machine
+    that loses nothing the motion is regular; in others a multiplier of 1 is that of a free phase.
     """
-    free = np.array([r for r, (cycle, _) in cycles_of.items() if not is_stable(cycle)], dtype=np.int64)
+    counts = {r: bool(cells.conservative[r]) or is_stable(cycle) for r, (cycle, _) in cycles_of.items()}
+    free = np.array([r for r in cycles_of if not counts[r]], dtype=np.int64)
     put_averaged(cells, free)
     write_results(cells, free, regime=UNDETERMINED, error=np.nan, reason=FREE_PHASE)
-    cycles_of = {r: passage for r, passage in cycles_of.items() if is_stable(passage[0])}
+    cycles_of = {r: passage for r, passage in cycles_of.items() if counts[r]}
     if not cycles_of:
         return
     rows, every = np.array(list(cycles_of), dtype=np.int64), np.arange(len(cycles_of))
@@ -364,6 +376,7 @@ def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]])
     largest = np.array([cycles_of[r][0].logs[0] for r in rows.tolist()])
     write_results(cells, rows, largest=largest)  # without the 0 along the cycle
     write_results(cells, rows[np.isneginf(largest)], error=0.0)
+    write_results(cells, rows[cells.conservative[rows]], regime=REGULAR, largest=0.0, spectrum=0.0)
 
 
 def _after_first(cycle: LimitCycle) -> int:
@@ -393,7 +406,7 @@ def convert_to_time(cells: CellBatch, variables: tuple[Variable, ...]) -> None:
     """Convert the results of all cells from periods to units of time, and write the periods of cycles.
 
     The exponent along a motion is set to 0, its exact value: of chaos the exponent nearest to 0, of a torus the second.
-    The sections, the states that a map shows, are those at the passages of an event.
+    The sections, the states that a map shows, are those at the passages of an event, if there are any.
     """
     results = cells.results
     for variable in variables:
@@ -404,9 +417,11 @@ def convert_to_time(cells: CellBatch, variables: tuple[Variable, ...]) -> None:
         results["cycle_period"][r], results["period"][r] = cycle.period, len(cycle.section)
         if "section" in results:
             results["section"][r] = cycle.section[np.arange(results["section"].shape[1]) % len(cycle.section)]
-    for r in np.flatnonzero(np.isin(results[REGIME.name], (CHAOTIC, QUASIPERIODIC, APERIODIC))).tolist():
-        if "section" in results:
-            results["section"][r] = passages(cells, r, results["section"].shape[1])
+    for r in np.flatnonzero(np.isin(results[REGIME.name], (CHAOTIC, QUASIPERIODIC, APERIODIC, REGULAR))).tolist():
+        if r in cells.cycles:
+            continue
+        if "section" in results and np.isfinite(seen := passages(cells, r, results["section"].shape[1])).any():
+            results["section"][r] = seen
         if "spectrum" in results:
             spectrum = results["spectrum"][r]
             torus = results[REGIME.name][r] == QUASIPERIODIC  # the first exponent of a torus is 0, too

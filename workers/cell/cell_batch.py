@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.interval import batch_of, begin, has_ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
-from workers.model.hybrid_machines import feeds
+from workers.model.hybrid_machines import feeds, loses_nothing
 from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, at_rows
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
@@ -30,6 +30,10 @@ and their minimum share of the sum."""
 CLOSING_DISTANCE, SAME_CYCLE = 1e-8, 1e-6
 """Maximum distances, relative to the motion. CLOSING_DISTANCE: from a state on a cycle to its image after one turn, and
 from a motion to the cycle that it is on. SAME_CYCLE: between states, and between periods, of one cycle solved twice."""
+
+UNDAMPED = 1e-14
+"""Damping of a mode of vibration, as a share of the highest frequency, that is due to rounding in gyroscopic machines.
+"""
 
 WORK_PER_PERIOD, MIN_WORK = 200, 1_000_000
 """Number of evaluations allowed to a cell per period of its budget, and minimum for all periods together.
@@ -76,6 +80,15 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
     stop_states = (oscillators.to_blocks[:, None, :, :n] @ x[..., None]).reshape(*x.shape[:2], n, 2)
     at_stops = np.sum(energy_norms(metric[:, None], stop_states), axis=1)
     return energy_norms(metric, h) + energy_norms(metric, oscillators.gap.swing) + at_stops
+
+
+def is_conservative(oscillators: Oscillator) -> Mask:
+    """Return the mask (N,) of machines that lose nothing: R = 1, no friction, and no damping beyond rounding."""
+    if oscillators.has_modes:
+        return loses_nothing(oscillators.table.machines)
+    eta, lam = np.abs(oscillators.gap.eta), np.abs(oscillators.gap.lam)
+    undamped = eta <= UNDAMPED * np.sqrt(np.max(lam, axis=-1, keepdims=True))
+    return np.asarray((oscillators.R == 1.0) & np.all(undamped, axis=-1))
 
 
 class CellCycle(NamedTuple):
@@ -141,6 +154,8 @@ class CellBatch:
     orbits            orbits of the cells that were proved to converge to one
     unforced          True for machines without a force, whose periods are natural periods
     cycles            proved limit cycles by row
+    conservative      (N,) True for machines that lose nothing, in which no motion attracts
+    starts            (N, 2n) physical states at the beginning
     far_norm          (N,) energy norm from which on a growing motion counts as unbounded; infinite for other motions
 
     A section is an instant t = k T, T the forcing period; a mode is a set of linear equations between two events.
@@ -163,8 +178,9 @@ class CellBatch:
         self.drifts = oscillators.drifts
         one = 2 if unforced else 1  # without a force one exponent is 0
         self.vectors = {"none": 0, "largest": one, "spectrum": 2 * n - self.drifts}[settings.exponents]
-        self.unforced, self.cycles = unforced, dict[int, CellCycle]()
+        self.unforced, self.cycles, self.starts = unforced, dict[int, CellCycle](), starts
         self.oscillators, self.settings, self.results = oscillators, settings, results
+        self.conservative = is_conservative(oscillators)
         motions, reasons = begin(oscillators, reasons, starts, mode, self.vectors)
         self.batch = batch_of(oscillators, motions, n_sections)
         without_frames = motions._replace(V=np.zeros((N, 0, n, 2)), growth=np.zeros((N, 0)))

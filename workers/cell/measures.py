@@ -17,7 +17,8 @@ from workers.kernel.hybrid.measures import MeasurePlan, MeasureTotals, read_moti
 from workers.kernel.motion import FLIGHT, RUNNING, motions_at
 from workers.model.definition import Definition
 from workers.model.elements import Contact, Friction, Spring
-from workers.model.hybrid_machines import HybridMachines, about_centre, is_mirror_symmetric, is_undriven, loses_nothing
+from workers.model.energy import energy
+from workers.model.hybrid_machines import HybridMachines, about_centre, is_mirror_symmetric, is_undriven
 from workers.model.hybrid_modes import ON
 from workers.model.measures import LAW_ERROR, RANGE_SHARE
 from workers.model.mode_table import build_hybrid
@@ -33,6 +34,7 @@ from workers.results import (
     PERIODIC,
     PERIODS_SPENT,
     QUASIPERIODIC,
+    REGULAR,
     UNDETERMINED,
     WORK_SPENT,
 )
@@ -47,7 +49,7 @@ measured."""
 MACHINES_PER_BLOCK = 512
 """Number of machines measured together: each has a table of its modes."""
 
-KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
+KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING, REGULAR)
 """Classes of motion for which the results that only this system has are computed."""
 
 MIRRORED = 1e-6
@@ -88,17 +90,29 @@ def measure(cells: CellBatch, definition: Definition, params: Mapping[str, Array
 def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
     """Replace the reason of undetermined cells whose class no number of periods would decide.
 
-    Motion of a machine that loses nothing never settles; growth has a reason of its own. Motion without a drive dies
-    away. ``params`` are the parameters (N,) of all cells by name.
+    Motion of a machine that loses nothing never settles; growth has a reason of its own. Other motion without a
+    drive dies away. ``params`` are the parameters (N,) of all cells by name.
     """
     reason = cells.results["reason"]
     undecided = cells.results["regime"] == UNDETERMINED
     rows = np.flatnonzero(undecided & np.isin(reason, (PERIODS_SPENT, NEVER_RECURS, WORK_SPENT)))
     if len(rows):
         machines = definition.hybrid({name: value[rows] for name, value in params.items()})
-        lossless = loses_nothing(machines)
+        lossless = cells.conservative[rows]
         reason[rows[~lossless & is_undriven(machines)]] = DIES_AWAY
         reason[rows[lossless & (reason[rows] != NEVER_RECURS)]] = CONSERVATIVE
+
+
+def measure_energy(cells: CellBatch) -> None:
+    """Write the change of energy of all motion of known class of machines without a force that lose nothing."""
+    rows = np.flatnonzero(np.isin(cells.results["regime"], KNOWN) & cells.conservative)
+    if not cells.unforced or not len(rows):
+        return
+    machines, ends = at_rows(cells.oscillators.table.machines, rows), cells.batch.motions
+    (before, size), (after, later) = (
+        energy(machines, states) for states in (cells.starts[rows], physical_states(cells.oscillators, ends, rows))
+    )
+    write_results(cells, rows, energy_error=np.abs(after - before) / np.maximum(size, later))
 
 
 def with_modes(cells: CellBatch, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
@@ -212,7 +226,7 @@ def _nothing_read(meters: MeasurePlan) -> MeasureTotals:
 def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals, span: Array) -> dict[str, Array]:
     """Return the results of the definition's measures by name.
 
-    weights   (N, M) factors of the power of each measure
+    weights   (N, M) weight of each of M measures, the factor of its mean square in its power
     readings  totals over each motion
     span      (N,) durations of the motions
     """

@@ -182,6 +182,11 @@ def put_periodic(cells: CellBatch, rows: Rows) -> None:
     orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))
     reach = impact_range(oscillators, tally, orbits.h, orbits.mode, orbits.period)
     _put_orbits(cells, rows, oscillators, orbits, regime=regime, sum_law_defect=defect, peak_to_peak=reach)
+    if cells.unforced:  # motion without loss swings for ever
+        states = physical_states(oscillators, motion.motions_at(orbits.h, orbits.mode), np.arange(len(rows)))
+        moves = np.any(states[:, cells.directions // 2 :] != 0.0, axis=1) & (regime == results.NO_IMPACT)
+        swings = rows[moves & cells.conservative[rows]]
+        write_results(cells, swings, regime=results.REGULAR, period=0, largest=0.0, spectrum=0.0)
 
 
 def _put_orbits(cells: CellBatch, rows: Rows, oscillators: Oscillator, orbits: PeriodicOrbits, **more: Any) -> None:
@@ -274,6 +279,7 @@ def put_growth(cells: CellBatch, rows: Rows, tally: Array, average: GrowthAverag
     if all_exponents:
         total, hits = np.sum(average.growth, axis=1) / average.periods, average.impacts / average.periods
         defect = _defect(at_rows(cells.oscillators, rows), total, tally, hits)
+        defect = np.where(cells.conservative[rows], total, defect)
         write_results(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum), sum_law_defect=defect)
 
 
@@ -300,6 +306,16 @@ def put_quasiperiodic(cells: CellBatch, rows: Rows, weighted: Array, spread: Arr
         cells.results["spectrum"][rows, 0] = weighted
         spectrum[:, 0] = 0.0  # rounding must not decide the dimension of a torus
         write_results(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
+
+
+def put_regular(cells: CellBatch, rows: Rows, error: Array | float = 0.0) -> None:
+    """Write the results of regular motion of machines that lose nothing, whose exponents are all 0.
+
+    ``error`` is the largest exponent that the motion so far may hide.
+    """
+    put_averaged(cells, rows)
+    dimension = float(cells.directions - cells.drifts)
+    write_results(cells, rows, regime=results.REGULAR, largest=0.0, error=error, spectrum=0.0, kaplan_yorke=dimension)
 
 
 def put_by_average(

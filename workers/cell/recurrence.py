@@ -11,6 +11,9 @@ FEWEST_HITS = 0.5
 """Minimum number of impacts in an interval of periods at which impacts count as continuing. The unit is the number
 expected from the impacts so far."""
 
+ENERGY_ROUNDING = 1e-6
+"""Change of the energy of a machine that loses nothing, as a share of it, that may be due to rounding."""
+
 
 class Recurrence:
     """History of N motions, which shows if they recur: energies at sections t = k T, and impacts.
@@ -42,7 +45,8 @@ class Recurrence:
         low, high = _energy_ranges(cells, rows)
         tally, periods = counts(cells, rows)
         hits = impact_count(tally)
-        self.same[rows] = (low <= self.high[rows]) & (high >= self.low[rows])
+        room = np.where(cells.conservative[rows], ENERGY_ROUNDING * high, 0.0)
+        self.same[rows] = (low <= self.high[rows] + room) & (high >= self.low[rows] - room)
         fresh = periods <= self.until[rows]  # a new count
         before, since = np.where(fresh, 0.0, self.hits[rows]), np.where(fresh, 0.0, self.until[rows])
         due = hits / np.maximum(periods, 1) * (periods - since)

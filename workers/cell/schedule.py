@@ -55,6 +55,10 @@ MIN_WATCH = 256
 TORUS_LIMIT = 1e-5
 """Largest modulus of a weighted average of growth that counts as zero; two intervals must show it."""
 
+REGULAR_PERIODS = 3000
+"""Minimum number of periods of the second of two intervals in each of which tangent vectors of a machine that loses
+nothing grow by less than e, so that the motion is regular. Chaos with an exponent above 1 / periods would grow more."""
+
 TORUS_RETURN = 1e-5
 """Minimum distance of the last RETURNS returns on a torus, relative to the motion's scale. With a nearer return the
 motion may be an orbit that closes slowly."""
@@ -111,7 +115,8 @@ class AdaptiveSchedule:
     interval           (N,) length of the next interval: forcing periods until the next decision
     transient_periods  (N,) forcing periods of the transient; NaN until estimated
     watched            (N,) forcing periods spent watching
-    weighted, middle   (N,) weighted average of the last interval, and its midpoint in periods
+    weighted           (N,) weighted average of the last interval
+    middle, length     (N,) midpoint and length of this interval, in periods
     half               standard error of an average over half of the periods that the tolerance needs
     recurrence         recurrence of the amplitude, see ``Recurrence``
 
@@ -133,7 +138,7 @@ class AdaptiveSchedule:
         self.half = math.sqrt(2.0) * self.settings.tolerance
         self.stage = np.full(N, SEARCHING)
         self.interval = np.full(N, FIRST_INTERVAL)
-        self.transient_periods, self.weighted, self.middle = np.full((3, N), math.nan)
+        self.transient_periods, self.weighted, self.middle, self.length = np.full((4, N), math.nan)
         self.watched = np.zeros(N, dtype=np.int64)
         self.recurrence = Recurrence(N)
 
@@ -178,11 +183,14 @@ class AdaptiveSchedule:
         budget  (N,) periods that may be spent on the search for orbits
         near    (N,) distance from a former state, relative to the motion, that counts as a return
 
-        Cells whose motion is recognised end without results.
+        Cells whose motion is recognised end without results. To orbits of machines that lose nothing no motion
+        converges.
         """
         known = self.is_known(rows)
         self.cells.is_active[rows[known]] = False
-        return end_on_orbits(self.cells, rows[~known], budget, near)
+        rows, lossless = rows[~known], self.cells.conservative[rows[~known]]
+        others = end_on_orbits(self.cells, rows[~lossless], budget, near)
+        return rows[lossless | np.isin(rows, others)]
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
         """Write the results of cells proved to converge to a long orbit; return the other cells."""
@@ -217,13 +225,14 @@ class AdaptiveSchedule:
     def searching(self, rows: Rows) -> None:
         """Continue the transient of these cells: RELAXATIONS relaxation times, at least MIN_TRANSIENT periods.
 
-        During the transient the motion forgets its initial state.
+        During the transient the motion forgets its initial state. Without loss it never does, and has no transient.
         """
         cells, flown = self.cells, self.cells.periods_flown[rows]
         new = rows[(flown >= MIN_TRANSIENT) & np.isnan(self.transient_periods[rows])]
         tally, periods = cells.batch.motions.tally[new], cells.periods_flown[new]
         hits, contraction = impact_count(tally) / periods, tally[:, CONTRACTION] / periods
-        self.transient_periods[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits, contraction)
+        relaxation = relaxation_periods(cells.oscillators, new, hits, contraction)
+        self.transient_periods[new] = RELAXATIONS * np.where(cells.conservative[new], 0.0, relaxation)
         most = max(MAX_TRANSIENT_SHARE * self.settings.max_periods, MIN_TRANSIENT)
         transient = np.fmax(np.floor(np.minimum(self.transient_periods[rows], most)), MIN_TRANSIENT)
         self.interval[rows] = np.minimum(flown, np.maximum(transient - flown, 1))
@@ -336,15 +345,21 @@ class AdaptiveSchedule:
         self._watch(rows, missing)
 
     def _find_order(self, rows: Rows) -> None:
-        """Write the results of cells on tori and, if their exponent is clearly negative, of cells on long orbits."""
+        """Write the results of tori, of regular motion and, if the exponent is clearly negative, of long orbits."""
         cells, batch = self.cells, self.cells.batch
         previous, now = self.weighted[rows], batch.weighted[rows, 0] / batch.weighted[rows, 1]
         middle = cells.periods_flown[rows] - 0.5 * batch.periods[rows]
         linear = shears(previous, now, middle - self.middle[rows])
-        self.weighted[rows], self.middle[rows] = now, middle
+        grown = np.maximum(np.abs(previous) * self.length[rows], np.abs(now) * batch.periods[rows])
+        bounded = cells.conservative[rows] & (grown < 1.0) & (batch.periods[rows] >= REGULAR_PERIODS)
+        self.weighted[rows], self.middle[rows], self.length[rows] = now, middle, batch.periods[rows]
         spread = np.where(linear, now, np.abs(now - previous))
         flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
-        flat = (flat | linear) & self.recurrence.same[rows] & self.recurrence.strikes[rows]
+        error = np.where(flat | linear, np.maximum(np.abs(now), spread), 1.0 / batch.periods[rows])
+        flat = (flat | linear | bounded) & self.recurrence.same[rows] & self.recurrence.strikes[rows]
+        lossless = cells.conservative[rows]
+        outcome.put_regular(cells, rows[flat & lossless], error[flat & lossless])
+        rows, now, spread, flat = rows[~lossless], now[~lossless], spread[~lossless], flat[~lossless]
         flat[flat] = self.never_closes(rows[flat])
         outcome.put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
         rows, now = rows[~flat], now[~flat]

@@ -13,16 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.continuation.admissibility import first_fault
-from workers.continuation.equations import motion_of, motion_of_unknowns
+from workers.continuation.equations import motion_of, motion_of_unknowns, solve_orbits
 from workers.continuation.floquet import error_along, multipliers
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.newton import newton
 from workers.continuation.shooting import OrbitMotion
 from workers.model.family import OrbitMachines
-from workers.model.oscillator import Array, Rows
-
-FARTHEST = 0.5
-"""Maximum length of Newton's first step, relative to the motion and to the length of a turn."""
+from workers.model.oscillator import Array
 
 
 class LimitCycle(NamedTuple):
@@ -48,18 +44,9 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> LimitCycle | None:
     itinerary, first = orbit.itinerary, motion_of(machine, many_orbits([orbit]))
     scale = np.concatenate([first.scale()[0], np.repeat(first.span[:, None], len(itinerary.sides), axis=1)], axis=1)
 
-    def motion(X: Array, _: Rows) -> OrbitMotion:
-        return motion_of_unknowns(machine, itinerary, X)
-
-    def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
-        trial = motion(X, rows)
-        return trial.turn.residuals, trial.linearised()
-
     with np.errstate(all="ignore"):
-        solved = newton(
-            lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, first.unknowns, scale, farthest=FARTHEST
-        )
-        closed = motion(solved.X, np.arange(1))
+        solved = solve_orbits(first, scale)
+        closed = motion_of_unknowns(machine, itinerary, solved.X)
         if not solved.converged[0] or not closed.span[0] > 0.0 or first_fault(closed):
             return None
         return _cycle_of(closed)

@@ -7,11 +7,16 @@ import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import ACT, END, REBOUNDS, SIGNAL
+from workers.continuation.newton import NewtonResult, newton
 from workers.continuation.shooting import OrbitMotion, plan_of
 from workers.model.block_decomposition import apply_stacked
 from workers.model.family import OrbitMachines
 from workers.model.hybrid_modes import SIGNALS
-from workers.model.oscillator import Array, Mask
+from workers.model.oscillator import Array, Mask, Rows
+
+FARTHEST = 0.5
+"""Maximum length of Newton's first step, relative to the motion and its fastest impact; of times, relative to the
+length of a cycle, or in radians of the force."""
 
 
 def check_orbits(machines: OrbitMachines, itinerary: Itinerary) -> None:
@@ -90,3 +95,22 @@ def motion_of(machines: OrbitMachines, orbits: Orbit) -> OrbitMotion:
     J, right = still.linearised()[:, :, :size], still.turn.residuals[..., None]
     start = -apply_stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
     return OrbitMotion(machines, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))
+
+
+def solve_orbits(start: OrbitMotion, scale: Array, sizes: Array | None = None) -> NewtonResult:
+    """Return the result of Newton's method for N orbits with the same sequence of events, from motions near them.
+
+    The unknowns are those of ``motion_of_unknowns``. For ``scale`` (N, U) of the unknowns and ``sizes`` see ``newton``.
+    """
+
+    def motion(X: Array, rows: Rows) -> OrbitMotion:
+        return motion_of_unknowns(start.lin.at_rows(rows), start.itinerary, X)
+
+    def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
+        trial = motion(X, rows)
+        return trial.turn.residuals, trial.linearised()
+
+    return newton(
+        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST,
+        sizes=sizes,
+    )  # fmt: skip

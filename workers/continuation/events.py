@@ -276,10 +276,10 @@ def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
 
 
 def halves_met(step: ContinuationStep) -> Itinerary | None:
-    """Return the itinerary of an orbit of half the length that a step passes; None if there is no such orbit.
+    """Return the sequence of events of an orbit of half the period that a step passes; None if there is no such orbit.
 
-    An itinerary is the sequence of an orbit's events. Both halves of the turn exchange their roles there. If no step
-    converged, so that both ends of the step are equal, return the itinerary of the nearest such orbit.
+    On both sides of that orbit the branch has nearly repeated orbits: the first half of one is the second half of the
+    other. If no step converged, so that both ends of the step are equal, return that of the nearest such orbit.
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:

@@ -7,22 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissibility import first_fault
-from workers.continuation.equations import admit, check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.equations import admit, check_orbits, motion_of, motion_of_unknowns, solve_orbits
 from workers.continuation.families import Family, family_of
 from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.legs import EVENT, NO_EVENT
-from workers.continuation.newton import newton
 from workers.continuation.orbit_equality import is_minimal
 from workers.continuation.orbit_from_motion import record_orbit, reduce_symmetry
 from workers.continuation.shooting import OrbitMotion
 from workers.model.family import OrbitMachines, machines_over
-from workers.model.oscillator import Array, Mask, Rows
+from workers.model.oscillator import Array, Mask
 from workers.model.system import System
 from workers.orbit.section import PAST_SECTION
-
-FARTHEST = 0.5
-"""Maximum length of Newton's first step, in radians of the force and relative to the motion and its fastest impact."""
 
 
 class OrbitBatch(NamedTuple):
@@ -77,18 +73,7 @@ def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatc
         known_orbits = known_orbits._replace(times=phases / machines.omega[:, None])
     start = motion_of(machines, known_orbits)
     scale = np.concatenate([start.scale()[0], np.ones(known_orbits.times.shape) / start.lin.omega[:, None]], axis=1)
-
-    def motion(X: Array, rows: Rows) -> OrbitMotion:
-        return motion_of_unknowns(machines.at_rows(rows), itinerary, X)
-
-    def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
-        trial = motion(X, rows)
-        return trial.turn.residuals, trial.linearised()
-
-    solved = newton(
-        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST,
-        sizes=start.forced_sizes,
-    )  # fmt: skip
+    solved = solve_orbits(start, scale, start.forced_sizes)
     after, converged = orbits.orbits.at_rows(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
     fields = motion_of_unknowns(machines, itinerary, solved.X).orbits[1:]
     after.times[known], after.speeds[known], after.length[known] = fields

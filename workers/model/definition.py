@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -19,7 +19,8 @@ from workers.model.hybrid_machines import HybridMachines
 from workers.model.measures import ORDERS, Measures
 from workers.model.natural_period import natural_frequency
 from workers.model.oscillator import Array, SingleContactMachines
-from workers.model.parameter import OMEGA, TAU
+from workers.model.parameter import OMEGA, PHASE, TAU
+from workers.model.smooth import STEPS, gauss_angles, of_halves, starts_of_halves
 
 MATRICES = ("mass", "damping", "stiffness")
 OF_FORCE = ("force_sin", "force_cos")
@@ -36,6 +37,8 @@ class Definition:
     drift     the coordinate that may drift, empty if there is none
     measures  outputs of which numbers are reported, by name
     period    the period 2 pi / omega; None if omega is a parameter
+    within    error bound of coefficients that are expressions of PHASE; None if there are none
+    steps     number of steps in each phase that replace them, see smooth.py; None if it is not known yet
 
     The force repeats after ``turns`` periods 2 pi / omega, so its machines have the frequency omega / turns. A machine
     without a force and phases has neither omega nor tau, see ``natural_period``. ``table`` writes the entries in the
@@ -57,6 +60,8 @@ class Definition:
     measures: Measures = ()
     springs: tuple[Spring, ...] = ()
     period: Expression | None = None
+    within: float | None = None
+    steps: int | None = None
 
     @property
     def stop(self) -> Contact:
@@ -67,7 +72,12 @@ class Definition:
     @property
     def unforced(self) -> bool:
         """True if there is neither a force nor a phase, so that motions do not depend on their starting time."""
-        return not self.harmonics and not self.phases
+        return not self.harmonics and not self.phases and self.within is None
+
+    @property
+    def pieces(self) -> int:
+        """Number of phases of its machines in the place of each of its phases: two for each step."""
+        return 1 if self.within is None else 2 * (self.steps or STEPS)
 
     @property
     def is_short_form(self) -> bool:
@@ -107,15 +117,26 @@ class Definition:
             self._force(named, replace_first_harmonic(self.harmonics, phase.force, phase.cosine)) for phase in phases
         ]
 
-        def of_phases(key: str) -> list[Array]:
-            return [evaluate_entries(getattr(phase, key) or getattr(self, key), named) for phase in phases]
-
         def table(entries: list[Any], *shape: int) -> Array:
             return evaluate_entries(entries, named).reshape(named[OMEGA].size, *shape)
 
-        C, F, P, N = len(contacts), len(friction), len(phases), named[OMEGA].size
-        pads = table([[pad(contact, phase.contacts) for contact in contacts] for phase in phases], P, C, 3)
-        rubs = table([[rub(element, phase.friction) for element in friction] for phase in phases], P, F, 3)
+        C, F, N = len(contacts), len(friction), named[OMEGA].size
+        starts = table([*(phase.start for phase in phases), 1.0], len(phases) + 1)
+        moments = [(phase, named) for phase in phases]
+        if self.within is not None:
+            many = {name: np.tile(value, self.pieces) for name, value in named.items()}
+            angles = [gauss_angles(starts[:, p : p + 2], self.pieces // 2) for p in range(len(phases))]
+            moments = [(phase, self._with_let(many | {PHASE: of})) for phase, of in zip(phases, angles, strict=True)]
+            starts = starts_of_halves(starts, self.pieces // 2)
+
+        def of_phases(entries: Callable[[Phase], Any], *shape: int, odd: bool = False) -> Array:
+            fields = [evaluate_entries(entries(phase), at).reshape(at[OMEGA].size, *shape) for phase, at in moments]
+            fields = [symmetrised(field) if shape == (n, n) else field for field in fields]
+            field = np.concatenate([field.reshape(self.pieces, N, *shape) for field in fields]).swapaxes(0, 1)
+            return field if self.within is None else of_halves(field, odd)
+
+        pads = of_phases(lambda phase: tuple(pad(contact, phase.contacts) for contact in contacts), C, 3)
+        rubs = of_phases(lambda phase: tuple(rub(element, phase.friction) for element in friction), F, 3)
         rubs = np.repeat(rubs[..., None, :], 2, axis=3)
         law, grip = [laws.none(N, 2)] * C, [laws.none(N, 2)] * F
         for c, contact in enumerate(contacts):
@@ -131,14 +152,14 @@ class Definition:
                 rubs[:, :, f, :, 1] = np.where(np.isnan(rubs[:, :, f, :, 1]), first, rubs[:, :, f, :, 1])
         machines = HybridMachines(
             mass=symmetrised(evaluate_entries(self.mass, named)),
-            damping=np.stack([symmetrised(matrix) for matrix in of_phases("damping")], axis=1),
-            stiffness=np.stack([symmetrised(matrix) for matrix in of_phases("stiffness")], axis=1),
-            load=np.stack(of_phases("load"), axis=1),
-            force_sin=np.stack([sines for sines, _ in forces], axis=1),
-            force_cos=np.stack([cosines for _, cosines in forces], axis=1),
+            damping=of_phases(lambda phase: phase.damping or self.damping, n, n),
+            stiffness=of_phases(lambda phase: phase.stiffness or self.stiffness, n, n),
+            load=of_phases(lambda phase: phase.load or self.load, n, odd=True),
+            force_sin=np.stack([sines for sines, _ in forces], axis=1).repeat(self.pieces, axis=1),
+            force_cos=np.stack([cosines for _, cosines in forces], axis=1).repeat(self.pieces, axis=1),
             omega=named[OMEGA] / self.turns,
             tau=named[TAU] / self.turns,
-            starts=table([*(phase.start for phase in phases), 1.0], P + 1),
+            starts=starts,
             row=table([contact.gap for contact in contacts], C, n),
             stops=table([stops(contact) for contact in contacts], C, 2),
             R=table([contact.restitution or 1.0 for contact in contacts], C),
@@ -231,11 +252,19 @@ class Definition:
             named = dict.fromkeys((OMEGA, TAU), np.zeros(2 if alone else _count(values))) | named
         if self.period:
             named[OMEGA] = self.frequency(named)
-        for name, expression in self.let:
-            named[name] = expression(named)
+        if self.within is not None:
+            named |= {PHASE: np.zeros_like(named[OMEGA])}
+        named = self._with_let(named)
         if clocked:
             named[OMEGA] = natural_frequency(*(evaluate_entries(of, named) for of in (self.mass, self.stiffness)))
         return named
+
+    def _with_let(self, named: Mapping[str, Array]) -> dict[str, Array]:
+        """Return these values (N,) with the values of all names in ``let``."""
+        values = dict(named)
+        for name, expression in self.let:
+            values[name] = expression(values)
+        return values
 
     @property
     def used(self) -> set[str]:

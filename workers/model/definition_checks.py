@@ -8,7 +8,7 @@ import numpy as np
 
 from workers.model.block_decomposition import undamped_modes
 from workers.model.definition import Definition
-from workers.model.elements import ALWAYS, PAD, RUB, Changes, Contact, Friction, Spring
+from workers.model.elements import ALWAYS, PAD, RUB, Changes, Contact, Friction, Phase, Spring
 from workers.model.entries import DefinitionError
 from workers.model.expression import Expression
 from workers.model.free_flight import UNSEEN
@@ -40,25 +40,25 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
         _check_law(where, element, tables[0])
     many = definition.hybrid(defaults)
     machine = HybridMachines(*(field[0] for field in many))
-    matrices = {"system.mass": machine.mass}
+    matrices = [("system.mass", machine.mass)]
     for key in ("damping", "stiffness"):
-        matrices |= {_entry_in(definition, p, key): matrix for p, matrix in enumerate(getattr(machine, key))}
+        matrices += [(_entry_in(definition, p, key), matrix) for p, matrix in enumerate(getattr(machine, key))]
     C = len(definition.contacts)
     rows = {f"{_contact(definition, c)}.gap": row for c, row in enumerate(machine.row[:C])}
     rows |= {f"system.springs[{s}].row": row for s, row in enumerate(machine.row[C:])}
     rows |= {f"system.friction[{f}].row": row for f, row in enumerate(machine.friction_rows)}
-    constants = dict(_constants(definition, machine))
-    for where, entries in chain(matrices.items(), rows.items(), _forces(definition, machine), constants.items()):
+    constants = [*_constants(definition, machine)]
+    for where, entries in chain(matrices, rows.items(), _forces(definition, machine), constants):
         if not np.isfinite(entries).all():
             raise DefinitionError(f"{where}: found {_shown(entries)} at the defaults, must be finite numbers")
     _check_measures(definition, definition.outputs(defaults))
     _check_mass(machine.mass)
-    for where, number in constants.items():
+    for where, number in constants:
         _check_constant(where, float(number))
     _check_damping(definition, machine)
     _check_static(definition, machine)
     _check_stops(definition, machine)
-    _check_starts(machine.starts)
+    _check_starts(machine.starts[:: definition.pieces])
     for where, row in rows.items():
         if not row.any():
             quantity = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
@@ -66,8 +66,9 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     _check_independent(list(rows), held_rows(many))
     _check_independent(list(rows)[len(machine.row) :], many.friction_rows)
     _check_yields(rows, many)
-    for where in (name for name in matrices if name.endswith("stiffness")):
-        _check_free_motions(definition, machine, where, matrices[where])
+    for where, matrix in matrices:
+        if where.endswith("stiffness"):
+            _check_free_motions(definition, machine, where, matrix)
 
 
 def _contact(definition: Definition, c: int) -> str:
@@ -75,7 +76,8 @@ def _contact(definition: Definition, c: int) -> str:
 
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
-    """Return the key of the definition whose value counts in phase p: the phase's, or that of the whole machine."""
+    """Return the key of the definition that counts in phase p of the machine: that of its phase, or of the machine."""
+    p //= definition.pieces
     overridden = definition.phases and getattr(definition.phases[p], key) is not None
     return f"system.phases[{p}].{key}" if overridden else f"system.{key}"
 
@@ -95,15 +97,21 @@ def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tupl
     for c, contact in enumerate(definition.contacts):
         if contact.rigid:
             yield f"{_contact(definition, c)}.restitution", machine.R[c]
-    for p, phase in enumerate(definition.phases or ALWAYS):
+    for piece, (p, phase) in enumerate(_phases(definition)):
         for c, contact in enumerate(definition.contacts):
-            for key, number in () if contact.rigid else zip(PAD, machine.contact_constants[p, c], strict=True):
+            for key, number in () if contact.rigid else zip(PAD, machine.contact_constants[piece, c], strict=True):
                 yield _constant_in(phase.contacts, p, "contacts", contact.name, key, _contact(definition, c)), number
         for f, friction in enumerate(definition.friction):
-            for key, number in zip(RUB, machine.friction_constants[p, f, 1], strict=True):
+            for key, number in zip(RUB, machine.friction_constants[piece, f, 1], strict=True):
                 yield _constant_in(phase.friction, p, "friction", friction.name, key, f"system.friction[{f}]"), number
     for f, belt in enumerate(machine.belt):
         yield f"system.friction[{f}].belt", belt
+
+
+def _phases(definition: Definition) -> list[tuple[int, Phase]]:
+    """Return number and phase of the definition for each phase of its machines."""
+    every = enumerate(definition.phases or ALWAYS)
+    return [numbered for numbered in every for _ in range(definition.pieces)]
 
 
 def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, entry: str) -> str:
@@ -130,9 +138,9 @@ def _check_damping(definition: Definition, machine: HybridMachines) -> None:
 
 
 def _check_static(definition: Definition, machine: HybridMachines) -> None:
-    for p, phase in enumerate(definition.phases or ALWAYS):
+    for piece, (p, phase) in enumerate(_phases(definition)):
         for f, friction in enumerate(definition.friction):
-            for kinetic, static, _ in machine.friction_constants[p, f]:
+            for kinetic, static, _ in machine.friction_constants[piece, f]:
                 if static >= kinetic:
                     continue
                 where = _constant_in(phase.friction, p, "friction", friction.name, "static", f"system.friction[{f}]")

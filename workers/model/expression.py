@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from workers.model.oscillator import Array
-from workers.model.parameter import OMEGA, near_name, unknown_name
+from workers.model.parameter import OMEGA, PHASE, near_name, unknown_name
 
 MAX_LENGTH = 500
 """Maximum length of an expression, in characters."""
@@ -236,6 +236,11 @@ def _check_order(tokens: list[str]) -> None:
 
 def _unknown(name: str, known: list[str]) -> str:
     """Return the one-line error message for an unknown name: the nearest known name, or what an entry may contain."""
+    if name == PHASE:
+        return (
+            f"unknown name {name!r}; only stiffness, damping, load and constants of soft contacts and friction may be "
+            f"expressions of it, beside within = ERROR in [system]"
+        )
     if name not in _TIME and near_name(name, known):
         return unknown_name("name", name, known)
     force = "; a force is an amplitude, which sin(omega t + tau) multiplies by itself" if name in _TIME else ""

@@ -161,6 +161,9 @@ MODE_TABLE_SIZE = 64
 """Maximum number of modes, sets of linear equations, in the table of a machine; each segment of its force laws adds
 two."""
 
+MODES_OF_PHASE = 4
+"""Maximum number of modes for each phase, if this allows more modes than MODE_TABLE_SIZE."""
+
 
 @np.errstate(all="ignore")
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
@@ -213,11 +216,8 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     pushes = np.any(np.isfinite(elements.depths) & np.isfinite(machines.stops)[..., None], axis=0)  # (C, 2, S)
     sides = np.sum(pushes, axis=(1, 2)) * np.where(machines.by_force.any(axis=0), 2, 1)
     slides = np.isfinite(elements.speeds).any(axis=0).sum(axis=(1, 2))
-    most = (
-        MODE_TABLE_SIZE + 2 * int(np.sum(sides)) + int(np.sum(slides))
-        if machines.segments != (1, 1)
-        else MODE_TABLE_SIZE
-    )
+    most = max(MODE_TABLE_SIZE, MODES_OF_PHASE * P)
+    most += 2 * int(np.sum(sides)) + int(np.sum(slides)) if machines.segments != (1, 1) else 0
     room = min(most, P * math.prod([*(1 + slides).tolist(), *(1 + sides).tolist()]))  # all modes, or ``most``
     table = ModeTable(
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),

@@ -6,10 +6,17 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations, product
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 OMEGA, TAU = "omega", "tau"
 """Names of the forcing frequency and of the phase of the force at t = 0, parameters of every system with a force."""
+
+PHASE = "phase"
+"""Name of the phase of a period in smooth coefficients, 0 to 2 pi from a section to the next, see smooth.py."""
 
 
 @dataclass(frozen=True)
@@ -83,3 +90,17 @@ def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
     near = near_name(name, names)
     hint = f"did you mean {near!r}?" if near else f"known: {', '.join(names)}"
     return f"unknown {kind} {name!r}; {hint}"
+
+
+def usual_values(
+    parameters: Iterable[Parameter], axes: Iterable[tuple[str, float, float]]
+) -> dict[str, NDArray[np.float64]]:
+    """Return values (N,) of each parameter: the defaults, and for each two axes their ends and middles.
+
+    The axes are (name, low, high); ends that their parameter does not admit are left out.
+    """
+    known = {p.name: p for p in parameters}
+    lines = {name: [x for x in (low, 0.5 * (low + high), high) if known[name].admits(x)] for name, low, high in axes}
+    planes = [*combinations(lines, 2)] if len(lines) > 1 else [(name,) for name in lines]
+    cells = [dict(zip(plane, at, strict=True)) for plane in planes for at in product(*(lines[name] for name in plane))]
+    return {name: np.array([cell.get(name, p.default) for cell in ({}, *cells)]) for name, p in known.items()}

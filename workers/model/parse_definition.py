@@ -12,6 +12,7 @@ from workers.model.definition import Definition
 from workers.model.entries import (
     DefinitionError,
     check_name,
+    fault,
     name_taken,
     read_constant,
     read_entries,
@@ -24,10 +25,11 @@ from workers.model.entries import (
 )
 from workers.model.expression import Expression
 from workers.model.measures import read_measures
-from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
+from workers.model.parameter import OMEGA, PHASE, TAU, Parameter, unknown_name
 from workers.model.parse_elements import check_element_count, read_contacts, read_friction, read_phases, read_springs
 from workers.model.parse_force import is_unforced, read_force
 from workers.model.reserved_names import is_taken
+from workers.model.smooth import SMOOTH_PHASES, STEPS
 
 MAX_COORDINATES = 8
 """Maximum number of coordinates of a system."""
@@ -161,24 +163,32 @@ def read_definition(
     n = len(coordinates)
     # The initial state is not part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
+    within, steps = _read_bound(table, parameters)
     period = _read_period(table, known)
     known += [] if period is None else [OMEGA]
-    let = _read_let(table.get("let", {}), known, {*parameters, *known})
-    known = [*known, *(name for name, _ in let)]
-    contacts, friction = read_contacts(table, known, n), read_friction(table, known, n)
+    let = _read_let(table.get("let", {}), known if within is None else [*known, PHASE], {*parameters, *known})
+    moving = {PHASE} if within is not None else set()
+    for name, expression in let:
+        moving |= {name} if expression.names & moving else set()
+    known = [*known, *(name for name, _ in let if name not in moving)]
+    smooth = [*known, *sorted(moving)]
+    matrix, row = np.zeros((n, n)).tolist(), np.zeros(n).tolist()
+    damping = read_entries("system.damping", table.get("damping", matrix), smooth, n, n)
+    stiffness = read_entries("system.stiffness", table.get("stiffness", matrix), smooth, n, n)
+    load = read_entries("system.load", table.get("load", row), smooth, n)
+    contacts, friction = read_contacts(table, known, n, smooth), read_friction(table, known, n, smooth)
     springs = read_springs(table, known, n)
     check_element_count(contacts, friction, springs)
-    phases = read_phases(table, known, n, contacts, friction)
+    phases = read_phases(table, known, n, contacts, friction, smooth)
     harmonics = read_force(table, known, n)
-    matrix, row = np.zeros((n, n)).tolist(), np.zeros(n).tolist()
-    return Definition(
+    definition = Definition(
         coordinates=coordinates,
         velocities=velocities,
         mass=read_entries("system.mass", table["mass"], known, n, n),
-        damping=read_entries("system.damping", table.get("damping", matrix), known, n, n),
-        stiffness=read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
+        damping=damping,
+        stiffness=stiffness,
         harmonics=harmonics,
-        load=read_entries("system.load", table.get("load", row), known, n),
+        load=load,
         contacts=contacts,
         let=let,
         friction=friction,
@@ -187,7 +197,30 @@ def read_definition(
         measures=read_measures(table.get("measures", {}), known, n),
         springs=springs,
         period=period,
+        within=within,
+        steps=steps,
     )
+    if within is not None and PHASE not in definition.used:
+        raise DefinitionError(f"system.within: found without an entry that is an expression of {PHASE}; leave it out")
+    return definition
+
+
+def _read_bound(table: Mapping[str, Any], parameters: Collection[str]) -> tuple[float | None, int | None]:
+    """Return error bound and number of steps of coefficients that are expressions of PHASE; None if not given."""
+    if "within" not in table:
+        if "steps" in table:
+            raise DefinitionError("system.steps: found without within, the error bound that needs steps; give within")
+        return None, None
+    within, steps = read_constant("system.within", table["within"]), table.get("steps")
+    if within <= 0.0:
+        raise fault("system.within", within, "must be above 0, the largest error of a period as a share")
+    phases = table.get("phases")
+    most = SMOOTH_PHASES // (2 * len(phases) if isinstance(phases, list) and phases else 2)
+    if steps is not None and (type(steps) is not int or steps % 2 or not STEPS <= steps <= most):
+        raise fault("system.steps", steps, f"must be an even number from {STEPS} to {most}, or left out")
+    if PHASE in parameters:
+        raise DefinitionError(f"system.parameters.{PHASE}: found beside within, where {PHASE} is 0 to 2 pi; rename it")
+    return within, steps
 
 
 def _read_period(table: Mapping[str, Any], known: Collection[str]) -> Expression | None:

@@ -31,30 +31,32 @@ _SAME = ("mass", "gap", "row", "upper", "lower")  # keys that are the same in al
 _LAWS = "a rigid contact has a restitution, a soft one a stiffness, damping or law, preload and release"
 
 
-def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Contact, ...]:
-    """Return the contacts in a table [system] of n coordinates.
+def read_contacts(
+    table: Mapping[str, Any], known: Collection[str], n: int, smooth: Collection[str]
+) -> tuple[Contact, ...]:
+    """Return the contacts in a table [system] of n coordinates; stiffness, damping and preload know ``smooth`` names.
 
     Gap, stops and restitution in the table itself make a rigid contact.
     """
     short = {key: table[key] for key in _SHORT if key in table}
     if "contacts" not in table:
-        if not short and (table.get("friction") or table.get("phases") or table.get("springs")):
+        if not short and any(table.get(key) for key in ("friction", "phases", "springs", "within")):
             return ()
-        return (_read_contact("system", {"name": STOP, **short}, known, n),)
+        return (_read_contact("system", {"name": STOP, **short}, known, n, smooth),)
     if short:
         first = next(iter(short))
         raise DefinitionError(f"system.{first}: found beside [[system.contacts]], must stand in one of these tables")
     parts = read_tables("system.contacts", table["contacts"])
     if not parts:
         raise DefinitionError("system.contacts: found none; give one, or leave the key out")
-    contacts = tuple(_read_contact(where, one, known, n) for where, one in parts.items())
+    contacts = tuple(_read_contact(where, one, known, n, smooth) for where, one in parts.items())
     if (count := sum(contact.stops for contact in contacts)) > STOPS:
         raise DefinitionError(f"system.contacts: found {count} stops, sides counted, must be at most {STOPS}")
     _refuse_twice("contact", parts, [contact.name for contact in contacts])
     return contacts
 
 
-def _read_contact(where: str, value: object, known: Collection[str], n: int) -> Contact:
+def _read_contact(where: str, value: object, known: Collection[str], n: int, smooth: Collection[str]) -> Contact:
     table = read_table(where, value, CONTACT_KEYS)
     name = _read_name(where, table)
     if isinstance(table.get("gap"), list) and any(isinstance(entry, list) for entry in table["gap"]):
@@ -74,7 +76,7 @@ def _read_contact(where: str, value: object, known: Collection[str], n: int) -> 
         raise DefinitionError(f"{where}: stiffness missing; {_LAWS}")
     law = _read_law(where, table, known, Contact, ("stiffness", "preload"))
     keys = ("damping",) if law else PAD
-    constants = {key: read_entries(f"{where}.{key}", table.get(key, 0.0), known) for key in keys}
+    constants = {key: read_entries(f"{where}.{key}", table.get(key, 0.0), smooth) for key in keys}
     release = table.get("release", RELEASES[0])
     if release not in RELEASES:
         raise fault(f"{where}.release", release, f"must be {' or '.join(map(repr, RELEASES))}")
@@ -91,8 +93,10 @@ def _read_stop(where: str, table: Mapping[str, Any], key: str, known: Collection
     return stop
 
 
-def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Friction, ...]:
-    """Return the friction elements in a table [system] of n coordinates."""
+def read_friction(
+    table: Mapping[str, Any], known: Collection[str], n: int, smooth: Collection[str]
+) -> tuple[Friction, ...]:
+    """Return the friction in a table [system] of n coordinates; its levels and slope know ``smooth`` names."""
     parts = read_tables("system.friction", table.get("friction", []))
     if len(parts) > FRICTION:
         raise DefinitionError(f"system.friction: found {len(parts)}, must be at most {FRICTION}")
@@ -106,9 +110,9 @@ def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> t
                 raise DefinitionError(f"{where}: {key} missing; give {'a row' if key == 'row' else 'a force'}")
         row = read_entries(f"{where}.row", one["row"], known, n)
         belt = read_entries(f"{where}.belt", one.get("belt", 0.0), known)
-        slope = None if law else read_entries(f"{where}.slope", one.get("slope", 0.0), known)
+        slope = None if law else read_entries(f"{where}.slope", one.get("slope", 0.0), smooth)
         kinetic, static = (
-            read_entries(f"{where}.{key}", one[key], known) if key in one else None for key in ("kinetic", "static")
+            read_entries(f"{where}.{key}", one[key], smooth) if key in one else None for key in ("kinetic", "static")
         )
         back = read_law_back(where, one, law, known)
         friction.append(Friction(name, row, kinetic, static, belt, slope, **law, law_back=back))
@@ -157,7 +161,7 @@ def _read_law(
 
 def read_phases(
     table: Mapping[str, Any], known: Collection[str], n: int,
-    contacts: Collection[Contact], friction: Collection[Friction],
+    contacts: Collection[Contact], friction: Collection[Friction], smooth: Collection[str],
 ) -> tuple[Phase, ...]:  # fmt: skip
     """Return the phases, parts of the forcing period, in a table [system] with these contacts and friction.
 
@@ -165,6 +169,7 @@ def read_phases(
     known     names that expressions may use
     contacts  contacts whose constants phases may change
     friction  friction elements whose constants phases may change
+    smooth    names that all entries but start and force may use
     """
     parts = read_tables("system.phases", table.get("phases", []))
     if len(parts) > PHASES:
@@ -180,10 +185,12 @@ def read_phases(
         if not phases and start.constant != 0.0:
             raise fault(f"{where}.start", one["start"], "must be 0; the first phase begins at the section")
         entries = {
-            key: read_entries(f"{where}.{key}", one[key], known, *shape) for key, shape in shapes.items() if key in one
+            key: read_entries(f"{where}.{key}", one[key], known if key in ("force", "cosine") else smooth, *shape)
+            for key, shape in shapes.items()
+            if key in one
         }
-        entries["contacts"] = _read_changes(f"{where}.contacts", one.get("contacts", {}), contacts, known)
-        entries["friction"] = _read_changes(f"{where}.friction", one.get("friction", {}), friction, known)
+        entries["contacts"] = _read_changes(f"{where}.contacts", one.get("contacts", {}), contacts, smooth)
+        entries["friction"] = _read_changes(f"{where}.friction", one.get("friction", {}), friction, smooth)
         phases.append(Phase(start, **entries))
     return tuple(phases)
 

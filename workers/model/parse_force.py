@@ -19,8 +19,12 @@ ORDER = re.compile(r"([1-9][0-9]{0,3})(/[1-9][0-9]{0,3})?", re.ASCII)
 
 
 def is_unforced(table: Mapping[str, Any]) -> bool:
-    """Return True if a table [system] declares neither a force nor phases."""
-    return not any(key in table for key in FORCE_KEYS) and not table.get("harmonics") and not table.get("phases")
+    """Return True if a table [system] declares neither a force nor phases, nor coefficients by the phase."""
+    return (
+        not any(key in table for key in (*FORCE_KEYS, "within"))
+        and not table.get("harmonics")
+        and not table.get("phases")
+    )
 
 
 def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Harmonic, ...]:

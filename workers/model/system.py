@@ -1,7 +1,7 @@
 """Systems: the packaged ones, and definitions by users in the same form."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -15,13 +15,14 @@ from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.definition_checks import check_at_defaults
+from workers.model.elements import ALWAYS
 from workers.model.entries import DefinitionError, fault, read_constant, read_list, read_table, read_text
 from workers.model.expression import Expression
 from workers.model.measures import check_unambiguous, element_variables, law_variables, measure_variables
 from workers.model.mode_table import build_hybrid
 from workers.model.observables import Observable, observables_of
 from workers.model.oscillator import Array, take_one
-from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
+from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name, usual_values
 from workers.model.parse_definition import (
     check_not_reserved,
     read_coordinates,
@@ -30,10 +31,12 @@ from workers.model.parse_definition import (
     with_formulas,
 )
 from workers.model.reserved_names import NAMES
+from workers.model.smooth import errors, fewest_steps
 from workers.model.toml_text import parse_toml, read_toml
 from workers.results import (
     CYCLE_PERIOD,
     DRIFT_PER_PERIOD,
+    ENERGY_ERROR,
     NO_REASON,
     OUT_OF_RANGE,
     REGIME,
@@ -53,7 +56,7 @@ PROSE = (*TEXTS, "axes")
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
     "cosine", "harmonics", "period", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases",
-    "drift", "springs", "measures", "let", "parameters",
+    "drift", "springs", "measures", "within", "steps", "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000
 """Maximum version of a definition."""
@@ -136,8 +139,30 @@ class System:
         moves through modes, sets of linear equations, see model/hybrid_modes.py.
         """
         definition = self.definition
-        elements = definition.friction or definition.phases or definition.springs
+        elements = definition.friction or definition.phases or definition.springs or definition.within
         return bool(elements) or definition.unforced or [contact.rigid for contact in definition.contacts] != [True]
+
+    def with_steps(self, within: float | None) -> "System":
+        """Return the system with the fewest steps in the place of smooth coefficients within a bound, see smooth.py.
+
+        The bound holds at the defaults and, for each two usual axes, at their ends and middles. It is unchanged without
+        such coefficients. Raise DefinitionError if the steps are too many.
+        """
+        if within is None:
+            return self
+        definition = replace(self.definition, within=within, steps=None)
+        values, phases = usual_values(self.parameters, self.axes), len(definition.phases or ALWAYS)
+        steps = fewest_steps(lambda steps: replace(definition, steps=steps).hybrid(values), phases, within)
+        return replace(self, definition=replace(definition, steps=steps))
+
+    def step_errors(self, values: Mapping[str, Array] | None = None) -> Array:
+        """Return the error (N,) by the steps in the place of smooth coefficients, see ``smooth.errors``.
+
+        The machines are those at values (N,) of each parameter, by default those of ``with_steps``.
+        """
+        definition = self.definition
+        values = usual_values(self.parameters, self.axes) if values is None else values
+        return errors(lambda steps: replace(definition, steps=steps).hybrid(values), definition.pieces // 2)
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
@@ -145,6 +170,7 @@ class System:
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", DRIFT_PER_PERIOD)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
+        cycles += [("system", ENERGY_ERROR)] if self.definition.unforced and not self.definition.friction else []
         laws = law_variables(self.definition.fitted)
         return [*measure_variables(self.definition.measures), *elements, *laws, *drifts, *cycles]
 
@@ -405,7 +431,11 @@ def _read(value: Mapping[str, Any], packaged: bool) -> System:
     parameters = with_formulas(parameters, definition)
     texts = {"title": name} | {key: read_text(f"system.{key}", table[key]) for key in TEXTS if key in table}
     axes = _read_axes(table.get("axes", {}), names)
-    return System(name, parameters, definition, version, packaged, axes, **texts)
+    system = System(name, parameters, definition, version, packaged, axes, **texts)
+    if definition.steps is None and definition.within is not None:
+        system = system.with_steps(definition.within)
+        check_at_defaults(system.definition, parameters)
+    return system
 
 
 def _read_axes(value: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:

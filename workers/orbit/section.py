@@ -74,8 +74,8 @@ def quiet_section(oscillator, h, mode):
 def back_at_section(oscillator, shift, h, mode):
     """Return the motion at the next instant t = k T, from state h (n, 2) at t = (k - 1 + shift) T.
 
-    h is the state of the decoupled equations of motion. An impact at the end counts as past, also if rounding delays it
-    by up to PAST_SECTION T.
+    h is the state of the decoupled equations of motion, and ``mode`` the number of the set of equations that holds at
+    the start. An impact at the end counts as past, also if rounding delays it by up to PAST_SECTION T.
     """
     motion = motion_after(seen_later(oscillator, shift), h, mode, 1.0 - shift)
     after = motion_after(oscillator, motion.h, motion.mode[0], PAST_SECTION)

@@ -223,7 +223,7 @@ def test_the_schedule_in_forcing_periods_is_refused_without_a_force() -> None:
 def test_results_are_told_per_unit_of_time() -> None:
     named = {variable.name: variable for variable in belt().variables(SPECTRUM)}
     assert named["largest"].long_name == "largest Lyapunov exponent per unit time"
-    assert named["cycle_period"].long_name == "time that a cycle takes; NaN unless periodic"
+    assert named["cycle_period"].long_name == "time that a cycle takes; NaN unless the motion repeats"
     assert not any("forcing period" in variable.long_name for variable in named.values())
 
 

@@ -1,0 +1,198 @@
+"""Machines that lose nothing: regular motion, whose exponents are 0, and chaos, with its exponent and error."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from atlas.check.rules import broken_rules
+from atlas.spec.spec import Spec
+from workers import solve_tile
+from workers.model.system import System
+from workers.results import CHAOTIC, CONSERVATIVE, PERIODS_SPENT, REGULAR, UNDETERMINED
+from workers.settings import Settings
+
+SPECTRUM = Settings(exponents="spectrum")
+BALL = {"coordinates": ["x"], "mass": [[1.0]], "load": [-1.0]}
+SWING = {"coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]]}
+ELASTIC = {"gap": [1.0], "restitution": 1.0}
+PAIR = {"coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 2.0]], "stiffness": [[2.0, -1.0], [-1.0, 1.5]]}
+SPUN = {"damping": [[0.0, 0.7], [-0.7, 0.0]]}
+"""Gyroscopic: it takes no energy."""
+PAD = {"contacts": [{"name": "pad", "gap": [1.0, 0.0], "upper": 0.3, "lower": -0.3, "stiffness": 20.0}]}
+GAP, AMPLITUDE = 3.0, 0.5
+"""Clearance and amplitude of the shaken box."""
+
+
+def machine(*parts: dict[str, Any], **more: Any) -> System:
+    given: dict[str, Any] = {"name": "lossless"}
+    for part in parts:
+        given |= part
+    return System.from_mapping(given | more)
+
+
+def fermi_ulam(y: Any, v: Any, impacts: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Growth of the logarithm of a disturbance, and time, of masses between elastic walls at +-GAP / 2 + sin(t) / 2.
+
+    They start in the box at t = 0 at displacements y and velocities v relative to it. The masses fly freely; an impact
+    at t on a wall of velocity s' makes v = 2 s' - v, and a disturbance dv = 2 s'' dt - dv.
+    """
+
+    def wall(t: Any) -> Any:
+        return AMPLITUDE * np.sin(t)
+
+    def velocity(t: Any) -> Any:
+        return AMPLITUDE * np.cos(t)
+
+    t, x, u = np.zeros(len(y)), y + 0.0, v + AMPLITUDE
+    growth, dx, du = np.zeros(len(y)), np.full(len(y), 0.6), np.full(len(y), 0.8)
+    for _ in range(impacts):
+        step = np.minimum(0.1, 0.02 * GAP / (np.abs(u) + AMPLITUDE))
+        low, high, flying = t + 0.0, t + 0.0, np.arange(len(t))
+        while len(flying):
+            low[flying] = high[flying]
+            high[flying] += step[flying]
+            flying = flying[np.abs(x + u * (high - t) - wall(high))[flying] < 0.5 * GAP]
+        side = np.sign(x + u * (high - t) - wall(high))
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            inside = side * (x + u * (middle - t) - wall(middle)) < 0.5 * GAP
+            low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+        hit = low  # inside, so that the next search begins there
+        late = -(dx + (hit - t) * du) / (u - velocity(hit))
+        after = 2.0 * velocity(hit) - u
+        dx, du = dx + (hit - t) * du + (u - after) * late, -du - 2.0 * AMPLITUDE * np.sin(hit) * late
+        x, u, t = wall(hit) + 0.5 * GAP * side, after, hit
+        size = np.hypot(dx, du)
+        growth, dx, du = growth + np.log(size), dx / size, du / size
+    return growth, t
+
+
+@pytest.fixture(scope="module")
+def box() -> dict[str, NDArray[Any]]:
+    """Cells of the packaged impact pair without loss, and ``growth`` and ``time`` of the same motions in the map."""
+    rng = np.random.default_rng(0)
+    y, v = rng.uniform(-1.4, 1.4, 48), rng.uniform(0.0, 6.0, 48)
+    values = {"alpha": AMPLITUDE, "nu": GAP, "R": 1.0, "omega": 1.0, "tau": 0.0, "y": y, "v": v}
+    growth, time = fermi_ulam(y, v, 1500)
+    return solve_tile("impact-pair", values, SPECTRUM) | {"growth": growth, "time": time}
+
+
+def test_the_sea_of_a_fermi_ulam_machine_is_chaotic_and_its_islands_are_regular(box: dict[str, Any]) -> None:
+    """Truth: an independent map. Regular motion grows as the time, in 1500 impacts to some e^10, chaos to e^200."""
+    assert np.all((box["growth"] < 15.0) | (box["growth"] > 200.0))
+    assert np.array_equal(box["regime"] == CHAOTIC, box["growth"] > 200.0)
+    assert np.array_equal(box["regime"] == REGULAR, box["growth"] < 15.0)
+    assert 10 < np.sum(box["regime"] == CHAOTIC) < 38
+
+
+def test_the_exponent_of_the_sea_is_that_of_the_map_within_errors(box: dict[str, Any]) -> None:
+    sea = box["regime"] == CHAOTIC
+    rates = 2.0 * math.pi * box["growth"][sea] / box["time"][sea]
+    error = np.std(rates) / math.sqrt(len(rates))
+    mean, own = np.mean(box["largest"][sea]), np.mean(box["error"][sea]) / math.sqrt(len(rates))
+    assert abs(mean - np.mean(rates)) < 4.0 * math.hypot(error, own)
+    assert error < 0.04 and own < 0.01
+
+
+def test_exponents_of_machines_that_lose_nothing_come_in_pairs_of_sum_0(box: dict[str, Any]) -> None:
+    assert np.abs(box["spectrum"].sum(axis=1)).max() < 1e-12
+    assert np.abs(box["sum_law_defect"]).max() < 1e-12
+    found = solve_tile(machine(PAIR, PAD), {"v2": 1.3}, SPECTRUM)
+    assert found["regime"] == CHAOTIC
+    first, second, third, fourth = found["spectrum"]
+    assert first + fourth == pytest.approx(0.0, abs=4.0 * found["error"]) and first > 10.0 * found["error"]
+    assert max(abs(second), abs(third)) < 1e-4  # along the motion, and across energies
+    assert abs(found["sum_law_defect"]) < 1e-12
+
+
+def test_regular_motion_has_exponents_0_and_an_error_that_chaos_would_have_shown(box: dict[str, Any]) -> None:
+    regular = box["regime"] == REGULAR
+    assert not box["largest"][regular].any() and not box["spectrum"][regular].any()
+    assert (box["error"][regular] > 0.0).all() and box["error"][regular].max() < 3.4e-4
+
+
+@pytest.mark.parametrize("height", [0.125, 0.5, 2.0])
+def test_a_ball_on_an_elastic_table_bounces_every_2_v_over_g(height: float) -> None:
+    found = solve_tile(machine(BALL, ELASTIC, lower=0.0), {"x": height}, SPECTRUM)
+    assert (found["regime"], found["reason"], found["period"], found["impacts_lower"]) == (REGULAR, 0, 1, 1)
+    assert found["cycle_period"] == pytest.approx(2.0 * math.sqrt(2.0 * height), rel=1e-13)
+    assert found["impacts_per_period"] == pytest.approx(1.0 / found["cycle_period"], rel=1e-13)
+    assert (found["largest"], found["spectrum"].tolist()) == (0.0, [0.0, 0.0])
+    assert found["energy_error"] < 1e-12
+
+
+@pytest.mark.parametrize("stop", [0.3, -0.2])
+def test_a_swing_against_an_elastic_stop_takes_half_a_period_and_two_arcs(stop: float) -> None:
+    """x = sin t between its impacts at x = stop: from -pi - asin(stop) to asin(stop)."""
+    found = solve_tile(machine(SWING, ELASTIC, upper=stop), {"x": -1.0}, SPECTRUM)
+    assert (found["regime"], found["impacts_upper"]) == (REGULAR, 1)
+    assert found["cycle_period"] == pytest.approx(math.pi + 2.0 * math.asin(stop), rel=1e-13)
+    assert found["energy_error"] < 1e-12
+
+
+def test_the_energy_of_soft_contacts_and_springs_with_laws_is_kept() -> None:
+    """Truth: the period is the integral of dx / v over the energy, here by quadrature."""
+    pad = {"name": "pad", "gap": [1.0], "lower": -0.1, "law": [[0.0, 0.0], [0.2, 0.3], [0.5, 3.0]]}
+    spring = {"name": "spring", "row": [1.0], "law": [[-2.0, -9.0], [-1.0, -2.0], [0.0, 0.0], [1.0, 1.0], [2.0, 5.0]]}
+    system = machine(SWING, mass=[[1.3]], load=[0.2], contacts=[pad], springs=[spring])
+    found = solve_tile(system, {"x": 1.7}, SPECTRUM)
+
+    def force(x: float) -> float:
+        pushes = np.interp(-0.1 - x, [0.0, 0.2, 0.5], [0.0, 0.3, 3.0]) + 9.0 * max(-0.6 - x, 0.0)
+        return float(0.2 - x - np.interp(x, [-2.0, -1.0, 0.0, 1.0, 2.0], [-9.0, -2.0, 0.0, 1.0, 5.0]) + pushes)
+
+    def speed(x: float) -> float:
+        kinks = [kink for kink in (-1.0, -0.6, -0.3, -0.1, 0.0, 1.0) if x < kink < 1.7]
+        return math.sqrt(max(-2.0 / 1.3 * quad(force, x, 1.7, points=kinks or None, epsabs=1e-13)[0], 0.0))
+
+    low, high = -1.7, 0.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if speed(middle) == 0.0 else (low, middle)
+    half = 0.5 * (1.7 - high)
+    turn, _ = quad(lambda a: half * math.sin(a) / speed(high + half * (1.0 - math.cos(a))), 0.0, math.pi, limit=200)
+    assert found["cycle_period"] == pytest.approx(2.0 * turn, rel=1e-6)
+    assert (found["regime"], found["largest"]) == (REGULAR, 0.0)
+    assert found["energy_error"] < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("system", "values"),
+    [
+        (machine(BALL, ELASTIC, lower=0.0, force=[0.02]), {"omega": 1.0, "x": 1.0}),
+        (machine(SWING, ELASTIC, upper=0.3, force=[0.1]), {"omega": 1.7, "x": -0.5}),
+        (machine(PAIR, PAD, force=[0.1, 0.0]), {"omega": 1.3, "v2": 0.7}),
+        (machine(PAIR, PAD), {"v2": [0.2, 1.3]}),
+        (machine(PAIR, ELASTIC, gap=[1.0, 0.0], upper=0.3, lower=-0.3), {"v2": [0.3, 1.5]}),
+        (machine(PAIR, PAD), {"v2": 0.01}),
+        (machine(PAIR, ELASTIC, SPUN, gap=[1.0, 0.0], upper=0.3, lower=-0.3, force=[0.1, 0.0]), {"v2": [0.3, 1.5]}),
+        ("bouncing-ball", {"A": 0.0, "R": 1.0, "y": 1.0}),
+    ],
+)
+@pytest.mark.parametrize("budget", [2000, 20000])
+def test_the_budget_is_never_the_reason_where_nothing_is_lost(system: Any, values: dict[str, Any], budget: int) -> None:
+    found = solve_tile(system, values, Settings(max_periods=budget, survival=0))
+    assert np.isin(found["regime"], (REGULAR, CHAOTIC, UNDETERMINED)).all()
+    assert not (found["reason"] == PERIODS_SPENT).any()
+    assert (found["reason"][found["regime"] == UNDETERMINED] == CONSERVATIVE).all()
+    assert budget == 2000 or (found["regime"] != UNDETERMINED).all()
+
+
+def test_energy_has_no_error_to_tell_where_it_is_lost() -> None:
+    system = machine(BALL, ELASTIC, lower=0.0, damping=[["c"]], parameters={"c": 0.0})
+    found = solve_tile(system, {"c": [0.0, 0.1], "x": 1.0}, Settings(max_periods=2000))
+    assert np.isfinite(found["energy_error"]).tolist() == [True, False]
+    assert found["regime"][0] == REGULAR != found["regime"][1]
+
+
+@pytest.mark.parametrize("name", ["impact-pair", "bouncing-ball"])
+def test_results_of_regular_motion_obey_the_rules(name: str) -> None:
+    own = {"alpha": AMPLITUDE} if name == "impact-pair" else {"A": 0.01}
+    spec = Spec(name, {"v": [0.5, 0.77, 3.0]}, parameters=own | {"R": 1.0}, solve={"exponents": "spectrum"})
+    arrays = solve_tile(spec.system_def, spec.cell_params((slice(0, 3),)), spec.settings)
+    assert REGULAR in arrays["regime"]
+    assert broken_rules(spec, (slice(0, 3),), arrays) == {}
