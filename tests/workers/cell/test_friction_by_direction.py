@@ -53,7 +53,8 @@ def test_an_orbit_with_a_level_for_each_direction_is_that_of_dop853() -> None:
 
     turns.terminal, z, lost = True, state, 0.0  # type: ignore[attr-defined]
     while t < T:
-        force = 0.3 if z[1] + 1e-9 * (2.0 * math.sin(0.9 * t) - z[0]) > 0.0 else -0.1
+        forward = z[1] + 1e-9 * (2.0 * math.sin(0.9 * t) - z[0]) > 0.0
+        force, turns.direction = (0.3, -1.0) if forward else (-0.1, 1.0)  # type: ignore[attr-defined]
         piece = solve_ivp(
             lambda t, z, force=force: (z[1], 2.0 * math.sin(0.9 * t) - z[0] - 0.1 * z[1] - force), (t, T), z,
             method="DOP853", rtol=1e-12, atol=1e-14, max_step=0.3, events=turns,
