@@ -180,7 +180,7 @@ def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
         k, turn = int(slot_of(table.codes, number)), harmonics_at(table.tau, table.pieces.waves.shape[2])
         for e, sign in enumerate(code_of(number, C, F, *machines.segments).slips if k >= 0 else ()):
             force, _ = guard_value(table.pieces, k, SIGNALS * C + e, state, turn)
-            if sign == 0 and abs(force) > (1.0 + EVEN) * machines.friction_constants[0, 0, e, 0]:
+            if sign == 0 and abs(force) > (1.0 + EVEN) * machines.friction_constants[0, 0, e, int(force < 0.0), 0]:
                 return True
     return False
 

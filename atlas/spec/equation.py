@@ -46,6 +46,8 @@ def equation_of(system: System) -> str:
         v = _sum(zip(friction.row, machine.velocities, strict=True))
         v += "" if friction.belt.constant == 0.0 else f" - {_factor(friction.belt)}"
         level = _level(friction, counts)
+        if friction.law_back is not None:
+            level = f"{level} forward, {_law(friction.back, counts)} backward,"
         static = "" if friction.static is None else f", {_number(friction.static)} at rest"
         lines.append(f"friction {friction.name}: {level} against {v if v == 'v' else f'v = {v}'}{static}")
     for phase in machine.phases:
@@ -107,13 +109,13 @@ def _level(friction: Friction, counts: Mapping[int, int]) -> str:
 
 def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str:
     """Return the law of an element as text: its expression, or its first and last point and the number of segments."""
-    law, count = element.law, counts[id(element)]
+    law, count = element.law, counts.get(id(element))
     if isinstance(law, Expression):
         assert element.within is not None
         return f"{_number(law)} ({count} segments at the defaults, within {_number(element.within)} of the largest)"
     assert law is not None
     first, last = (f"({', '.join(map(_number, law[i]))})" for i in (0, -1))
-    return f"{count} segments from {first} to {last}"
+    return f"{len(law) - 1 if count is None else count} segments from {first} to {last}"
 
 
 def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:

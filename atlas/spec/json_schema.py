@@ -197,6 +197,7 @@ def _element(keys: Iterable[str], required: list[str]) -> Schema:
         "row": _list(_ENTRY, 1, MAX_COORDINATES),
         "release": {"enum": list(RELEASES), "default": RELEASES[0]},
         "law": {"anyOf": [_list(_list(_ENTRY, 2, 2), 2, SEGMENTS + 1), {"type": "string"}]},
+        "law_back": _list(_list(_ENTRY, 2, 2), 2, SEGMENTS + 1),
         "range": {"anyOf": [_ENTRY, _list(_ENTRY, 2, 2)]},
     }
     return _table({key: known.get(key, _ENTRY) for key in keys}, required)

@@ -68,8 +68,8 @@ def _fields_of(machine: PiecewiseMachine, H: int) -> tuple[Any, ...]:
         [float(c.restitution is None and c.release == "force") for c in machine.contacts],
         np.reshape(pads, (P, C, 3)),
         np.reshape([f.row for f in machine.friction], (F, n)), [f.belt for f in machine.friction],
-        np.reshape([[[f.kinetic, f.static, f.slope] for f in law.friction] for law in laws], (P, F, 3)),
-        np.zeros((C, 2, 1, 3)), np.zeros((F, 1, 3)), np.ones(C),
+        np.reshape([[[[f.kinetic, f.static, f.slope]] * 2 for f in law.friction] for law in laws], (P, F, 2, 3)),
+        np.zeros((C, 2, 1, 3)), np.zeros((F, 2, 1, 3)), np.ones(C),
     )  # fmt: skip
 
 

@@ -137,16 +137,19 @@ class Definition:
 
         pads = of_phases(lambda phase: tuple(pad(contact, phase.contacts) for contact in contacts), C, 3)
         rubs = of_phases(lambda phase: tuple(rub(element, phase.friction) for element in friction), F, 3)
-        law, grip = [laws.none(N, 2)] * C, [laws.none(N)] * F
+        rubs = np.repeat(rubs[..., None, :], 2, axis=3)
+        law, grip = [laws.none(N, 2)] * C, [laws.none(N, 2)] * F
         for c, contact in enumerate(contacts):
             if contact.law is not None:
                 first, segments = laws.one_sided(laws.vertices(contact, named), falls=False)
                 pads[:, :, c, 2], law[c] = first[:, None], np.stack([segments, segments], axis=1)
         for f, element in enumerate(friction):
             if element.law is not None:
-                first, grip[f] = laws.one_sided(laws.vertices(element, named), falls=True)
-                rubs[:, :, f, 0] = first[:, None]
-                rubs[:, :, f, 1] = np.where(np.isnan(rubs[:, :, f, 1]), first[:, None], rubs[:, :, f, 1])
+                sides = [laws.one_sided(laws.vertices(of, named), falls=True) for of in (element.back, element)]
+                grip[f] = laws.widened([segments for _, segments in sides], (N,))
+                first = np.stack([level for level, _ in sides], axis=1)[:, None]
+                rubs[:, :, f, :, 0] = first
+                rubs[:, :, f, :, 1] = np.where(np.isnan(rubs[:, :, f, :, 1]), first, rubs[:, :, f, :, 1])
         machines = HybridMachines(
             mass=symmetrised(evaluate_entries(self.mass, named)),
             damping=of_phases(lambda phase: phase.damping or self.damping, n, n),
@@ -167,7 +170,7 @@ class Definition:
             belt=table([element.belt for element in friction], F),
             friction_constants=rubs,
             contact_laws=laws.widened(law, (N, 2)),
-            friction_laws=laws.widened(grip, (N,)),
+            friction_laws=laws.widened(grip, (N, 2)),
             counted=np.ones((N, C)),
             drift=np.full_like(named[OMEGA], self.coordinates.index(self.drift) if self.drift else -1),
         )
@@ -188,6 +191,8 @@ class Definition:
             for i, element in enumerate(getattr(self, kind)):
                 if element.law is not None:
                     yield f"system.{kind}[{i}].law", element, laws.vertices(element, named, math.inf)[:count]
+                if isinstance(element, Friction) and element.law_back is not None:
+                    yield f"system.{kind}[{i}].law_back", element.back, laws.vertices(element.back, named)[:count]
 
     @property
     def fitted(self) -> tuple[Contact | Friction | Spring, ...]:

@@ -102,7 +102,7 @@ def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tupl
             for key, number in () if contact.rigid else zip(PAD, machine.contact_constants[piece, c], strict=True):
                 yield _constant_in(phase.contacts, p, "contacts", contact.name, key, _contact(definition, c)), number
         for f, friction in enumerate(definition.friction):
-            for key, number in zip(RUB, machine.friction_constants[piece, f], strict=True):
+            for key, number in zip(RUB, machine.friction_constants[piece, f, 1], strict=True):
                 yield _constant_in(phase.friction, p, "friction", friction.name, key, f"system.friction[{f}]"), number
     for f, belt in enumerate(machine.belt):
         yield f"system.friction[{f}].belt", belt
@@ -140,8 +140,9 @@ def _check_damping(definition: Definition, machine: HybridMachines) -> None:
 def _check_static(definition: Definition, machine: HybridMachines) -> None:
     for piece, (p, phase) in enumerate(_phases(definition)):
         for f, friction in enumerate(definition.friction):
-            kinetic, static, _ = machine.friction_constants[piece, f]
-            if static < kinetic:
+            for kinetic, static, _ in machine.friction_constants[piece, f]:
+                if static >= kinetic:
+                    continue
                 where = _constant_in(phase.friction, p, "friction", friction.name, "static", f"system.friction[{f}]")
                 levels = f"found {static:g}, kinetic {kinetic:g} at the defaults"
                 raise DefinitionError(f"{where}: {levels}, must not be below kinetic")

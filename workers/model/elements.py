@@ -1,7 +1,7 @@
 """The elements of a definition: contacts, friction, springs and phases."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from workers.model.expression import Expression, Matrix, Row
 
@@ -69,7 +69,7 @@ class Friction:
 
     While sliding, friction resists with the force kinetic + slope |v| along ``row``, the weights of the velocities, or
     with law(|v|), see laws.py. It sticks, v = 0, while the force needed is at most ``static``, by default kinetic or
-    law(0).
+    law(0). With ``law_back`` v < 0 has a law, and by default a static level, of its own.
     """
 
     name: str
@@ -81,6 +81,12 @@ class Friction:
     law: SegmentsOf | None = None
     within: Expression | None = None
     range: Expression | Row | None = None
+    law_back: tuple[Row, ...] | None = None
+
+    @property
+    def back(self) -> "Friction":
+        """The same friction with the law for v < 0 as its law for both directions."""
+        return self if self.law_back is None else replace(self, law=self.law_back, law_back=None)
 
 
 @dataclass(frozen=True)

@@ -46,10 +46,11 @@ class HybridMachines(NamedTuple):
                           displacement, force per velocity and force along the row
     friction_rows         (N, F, n) weights of the velocities in the sliding velocity of each friction
     belt                  (N, F) velocity of the surface that each friction rubs on
-    friction_constants    (N, P, F, 3) kinetic level, static level and slope; in force, force, and force per velocity
+    friction_constants    (N, P, F, 2, 3) kinetic level, static level and slope for v < 0 and v > 0; in force, force,
+                          and force per velocity
     contact_laws          (N, C, 2, S, 3) further force of the lower and upper stop of a soft contact: start of each
                           segment in depth, slope, and force extrapolated to depth 0; see laws.py
-    friction_laws         (N, F, S', 3) further resistance of friction, likewise over |v|
+    friction_laws         (N, F, 2, S', 3) further resistance of friction for v < 0 and v > 0, likewise over |v|
     counted               (N, C) 1 for contacts, 0 for springs, whose stops are ends of the segment with y = 0
     drift                 (N,) the coordinate that may drift, -1 if there is none; equal in all N
 
@@ -97,7 +98,7 @@ class HybridMachines(NamedTuple):
     @property
     def segments(self) -> tuple[int, int]:
         """Largest numbers of segments in laws of contacts and in laws of friction."""
-        return self.contact_laws.shape[3], self.friction_laws.shape[2]
+        return self.contact_laws.shape[3], self.friction_laws.shape[3]
 
     @property
     def signals(self) -> Rows:
@@ -126,8 +127,8 @@ def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array)
         starts=np.tile([0.0, 1.0], (N, 1)), row=machines.gap_row[:, None], stops=stops[:, None], R=machines.R[:, None],
         soft=none, by_force=none, contact_constants=np.zeros((N, 1, 1, 3)), friction_rows=np.zeros((N, 0, n)),
         belt=nothing,
-        friction_constants=np.zeros((N, 1, 0, 3)), contact_laws=np.zeros((N, 1, 2, 1, 3)), friction_laws=np.zeros((N,
-        0, 1, 3)), counted=none + 1.0,
+        friction_constants=np.zeros((N, 1, 0, 2, 3)), contact_laws=np.zeros((N, 1, 2, 1, 3)),
+        friction_laws=np.zeros((N, 0, 2, 1, 3)), counted=none + 1.0,
         drift=np.full(N, -1.0),
     )  # fmt: skip
 
@@ -186,7 +187,8 @@ def is_mirror_symmetric(machines: HybridMachines) -> Mask:
     later += [(field, sign * field) for field in (machines.force_sin, machines.force_cos)]
     uneven = [_any(np.roll(field, -half, axis=1) != image) for field, image in later]
     uneven += [_any(machines.stops[..., 0] != -machines.stops[..., 1]), _any(machines.belt != 0.0)]
-    uneven.append(_any(machines.contact_laws[:, :, 0] != machines.contact_laws[:, :, 1]))
+    uneven += [_any(law[:, :, 0] != law[:, :, 1]) for law in (machines.contact_laws, machines.friction_laws)]
+    uneven.append(_any(machines.friction_constants[..., 0, :] != machines.friction_constants[..., 1, :]))
     if phases > 1:
         uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
     return ~np.any(uneven, axis=0)

@@ -107,8 +107,9 @@ def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Arra
 
     ``sign`` is the slip's number in ModeCode, which decides the segment of the friction law.
     """
-    kinetic, _, slope = machines.friction_constants[:, p, f].T
-    _, more, level = machines.friction_laws[:, f, abs(sign) - 1].T
+    side = 1 if sign > 0 else 0
+    kinetic, _, slope = machines.friction_constants[:, p, f, side].T
+    _, more, level = machines.friction_laws[:, f, side, abs(sign) - 1].T
     return kinetic + level, slope + more
 
 
@@ -369,9 +370,11 @@ def _signals(
         inner, outer = (0, 1) if side > 0 else (1, 0)
         if abs(state) == ON and not machines.soft[:, c].any():
             hold(k)  # the contact force; a pull is possible up to the level of friction that also sticks
-            helping = [
-                machines.friction_constants[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c
-            ]
+            helping = []
+            for f in (f for f, at in resting.items() if at == c):
+                back, ahead = machines.friction_constants[:, p, f, :, 1].T  # it would slide away from the stop
+                level = np.where(side * along[:, f, c] > 0.0, back, ahead)
+                helping.append(level * np.abs(along[:, f, c]))
             ends[:, k, outer] = side * sum(helping, np.zeros(N))
             continue
         rows[:, k, :n] = row
@@ -392,11 +395,11 @@ def _signals(
             continue
         if sign == 0:
             hold(k)
-            static = machines.friction_constants[:, p, f, 1]
-            ends[:, k, 0], ends[:, k, 1] = -static, static
+            back, ahead = machines.friction_constants[:, p, f, :, 1].T
+            ends[:, k, 0], ends[:, k, 1] = -ahead, back
             continue
         rows[:, k, n : 2 * n], rows[:, k, 2 * n] = machines.friction_rows[:, f], -machines.belt[:, f]
-        begins, over = _segment(machines.friction_laws[:, f, :, 0], abs(sign) - 1)
+        begins, over = _segment(machines.friction_laws[:, f, 1 if sign > 0 else 0, :, 0], abs(sign) - 1)
         ends[:, k] = np.stack([begins, over] if sign > 0 else [-over, -begins], axis=1)
     return rows, direct, ends
 

@@ -47,10 +47,10 @@ class ContactElements(NamedTuple):
     kick               (N, C, n) M^-1 g / (g M^-1 g), the direction of an impact, g the weights of displacements
     weight             (N, C) 1 / (g M^-1 g) of each contact
     friction_kick      (N, F, n) as kick, of each friction's row
-    static_is_kinetic  (N, P, F) 1 if static = kinetic, else 0
+    static_is_kinetic  (N, P, F, 2) 1 if static = kinetic, else 0, for v < 0 and v > 0
     along              (N, F, C) the factor a if a friction's row is a times a contact's row, else 0
     depths             (N, C, 2, S) starts of the segments of contact laws, infinite if missing
-    speeds             (N, F, S') starts of the segments of friction laws, infinite if missing
+    speeds             (N, F, 2, S') starts of the segments of friction laws, infinite if missing
     """
 
     row: Array
@@ -141,7 +141,7 @@ class ModeTable(NamedTuple):
         return rows
 
 
-_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 3, 3, 2, 2, 4, 3])
+_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 4, 4])
 _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 """Number of axes of each field of a ModeTable, for many machines."""
 
@@ -215,10 +215,10 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     numbers[:, NUMBER.omega] = machines.omega
     pushes = np.any(np.isfinite(elements.depths) & np.isfinite(machines.stops)[..., None], axis=0)  # (C, 2, S)
     sides = np.sum(pushes, axis=(1, 2)) * np.where(machines.by_force.any(axis=0), 2, 1)
-    slides = np.isfinite(elements.speeds).any(axis=0).sum(axis=1)
+    slides = np.isfinite(elements.speeds).any(axis=0).sum(axis=(1, 2))
     most = max(MODE_TABLE_SIZE, MODES_OF_PHASE * P)
-    most += 2 * int(np.sum(sides) + np.sum(slides)) if machines.segments != (1, 1) else 0
-    room = min(most, P * math.prod([*(1 + 2 * slides).tolist(), *(1 + sides).tolist()]))  # all modes, or ``most``
+    most += 2 * int(np.sum(sides)) + int(np.sum(slides)) if machines.segments != (1, 1) else 0
+    room = min(most, P * math.prod([*(1 + slides).tolist(), *(1 + sides).tolist()]))  # all modes, or ``most``
     table = ModeTable(
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
         HybridModes(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
@@ -298,7 +298,7 @@ def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: 
     """
     rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
     loads = np.max(np.abs(machines.load @ modes), axis=1)
-    static = np.max(machines.friction_constants[..., 1], axis=1)
+    static = np.max(machines.friction_constants[..., 1], axis=(1, 3))
     reach = (loads + np.sum(np.abs(machines.friction_rows @ modes) * static[..., None], axis=1)) / rate**2
     rooms = np.abs(machines.stops) * np.sqrt(weight)[..., None]
     nearest = np.min(np.where(rooms > 0.0, rooms, np.inf), axis=(1, 2), initial=np.inf)

@@ -8,7 +8,7 @@ from workers.model.entries import DefinitionError, check_name, fault, read_entri
 from workers.model.expression import Expression
 from workers.model.laws import SEGMENTS
 from workers.model.parameter import unknown_name
-from workers.model.parse_laws import read_law, read_spring
+from workers.model.parse_laws import read_law, read_law_back, read_spring
 
 STOPS = 4
 """Maximum number of stops of all contacts together, counting sides."""
@@ -25,7 +25,7 @@ the combinations of their states, must fit a double."""
 _SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact without a table
 _SOFT = (*PAD, "release", *LAW)
 CONTACT_KEYS = ("name", *_SHORT, *_SOFT)
-FRICTION_KEYS = ("name", "row", *RUB, "belt", *LAW)
+FRICTION_KEYS = ("name", "row", *RUB, "belt", *LAW, "law_back")
 PHASE_KEYS = ("start", "stiffness", "damping", "force", "cosine", "load", "contacts", "friction")
 _SAME = ("mass", "gap", "row", "upper", "lower")  # keys that are the same in all phases
 _LAWS = "a rigid contact has a restitution, a soft one a stiffness, damping or law, preload and release"
@@ -114,7 +114,8 @@ def read_friction(
         kinetic, static = (
             read_entries(f"{where}.{key}", one[key], smooth) if key in one else None for key in ("kinetic", "static")
         )
-        friction.append(Friction(name, row, kinetic, static, belt, slope, **law))
+        back = read_law_back(where, one, law, known)
+        friction.append(Friction(name, row, kinetic, static, belt, slope, **law, law_back=back))
     _refuse_twice("friction element", parts, [element.name for element in friction])
     return tuple(friction)
 

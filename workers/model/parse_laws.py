@@ -10,6 +10,15 @@ from workers.model.laws import ARGUMENTS, SEGMENTS
 SPRING_KEYS = ("name", "row", *LAW)
 
 
+def read_law_back(where: str, table: Mapping[str, Any], law: Mapping[str, Any], known: Collection[str]) -> Any:
+    """Return the table of friction for v < 0, beside the entries LAW of its ``law``; None if there is none."""
+    if "law_back" not in table:
+        return None
+    if not isinstance(law.get("law"), tuple):
+        raise DefinitionError(f"{where}.law_back: found without a table in law; give law as a table too")
+    return _read_rows(f"{where}.law_back", table["law_back"], known, "v", "")
+
+
 def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind: type) -> dict[str, Any]:
     """Return the force law in an element's table, with the error bound and range of an expression, by the keys LAW.
 
@@ -38,16 +47,17 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
         }
     for key in (key for key in LAW[1:] if key in table):
         raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; only an expression takes this key")
+    return {"law": _read_rows(f"{where}.law", law, known, argument, f", or an expression of {argument}")}
+
+
+def _read_rows(where: str, law: Any, known: Collection[str], argument: str, other: str) -> Any:
+    """Return the rows [argument, force] of a law; ``other`` ends the error for no table."""
     if not isinstance(law, list | tuple) or not 2 <= len(law) <= SEGMENTS + 1:
         description = f"{len(law)} rows" if isinstance(law, list | tuple) else law
-        raise fault(
-            f"{where}.law",
-            description,
-            f"must be 2 to {SEGMENTS + 1} rows [{argument}, force], or an expression of {argument}",
-        )
+        raise fault(where, description, f"must be 2 to {SEGMENTS + 1} rows [{argument}, force]{other}")
     ending = f", {argument} and the force"
-    rows = [read_list(f"{where}.law[{i}]", row, 2, "numbers", ending) for i, row in enumerate(law)]
-    return {"law": read_entries(f"{where}.law", rows, known, len(rows), 2)}
+    rows = [read_list(f"{where}[{i}]", row, 2, "numbers", ending) for i, row in enumerate(law)]
+    return read_entries(where, rows, known, len(rows), 2)
 
 
 def read_spring(where: str, value: object, known: Collection[str], n: int) -> Spring:

@@ -126,7 +126,7 @@ def _flows(machines: HybridMachines, inverse_mass: Array, rate: Array, closed: b
             K, C = K + k[..., None, None] * square, C + d[:, :, c, None, None] * square
             load = load + (k * np.where(np.isfinite(stop), stop, 0.0) - sign * preload[:, :, c])[..., None] * row
         row = machines.friction_rows[:, None]
-        kinetic, _, slope = np.moveaxis(machines.friction_constants, 3, 0)
+        kinetic, _, slope = np.moveaxis(machines.friction_constants[..., 1, :], 3, 0)  # forward
         C = C + row.swapaxes(2, 3) @ (slope[..., None] * row)
         load = load + ((slope * machines.belt[:, None] - kinetic)[:, :, None] @ row)[:, :, 0]
     A = np.zeros((*load.shape[:2], 2 * n + 1, 2 * n + 1))

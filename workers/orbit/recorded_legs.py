@@ -113,7 +113,9 @@ def mode_code_of_state(elements: ContactElements, z: Array) -> ModeCode:
     for e, (row, belt) in enumerate(zip(elements.friction_rows[0], elements.belt[0], strict=True)):
         sliding = float(row @ v) - belt
         slips.append(
-            int(np.sign(sliding)) * (1 + _segment(elements.speeds[0, e], abs(sliding))) if abs(sliding) > fast else 0
+            int(np.sign(sliding)) * (1 + _segment(elements.speeds[0, e, int(sliding > 0.0)], abs(sliding)))
+            if abs(sliding) > fast
+            else 0
         )
     return ModeCode(0, tuple(contacts), tuple(slips))
 

@@ -66,6 +66,22 @@ def test_an_equilibrium_between_two_dampings_has_the_mean_decay_as_exponents() -
         assert solved["spectrum"][k] == pytest.approx([math.log(ratio) / duration] * 2, rel=1e-9)
 
 
+def upwards(end: float) -> Any:
+    """The event of x that rises through an end, at which a motion may have begun."""
+
+    def event(t: float, z: list[float]) -> float:
+        return z[0] - end
+
+    event.terminal, event.direction = True, 1.0  # type: ignore[attr-defined]
+    return event
+
+
+def downwards(end: float) -> Any:
+    event = upwards(end)
+    event.direction = -1.0
+    return event
+
+
 def follow(
     rate: Callable[[float, float, float, int], float], ends: tuple[float, ...], z: list[float], t1: float,
     R: float | None = None,
@@ -74,15 +90,13 @@ def follow(
 
     ``rate`` is the acceleration at (t, x, v), with the number of ends below x.
     """
-    t0, events = 0.0, [lambda t, z, end=end: z[0] - end for end in ends]
-    for event in events:
-        event.terminal = True  # type: ignore[attr-defined]
+    t0 = 0.0
     while t0 < t1:
         ahead = z[0] + 1e-9 * z[1]
         piece = sum(ahead > end for end in ends)
         found = solve_ivp(
             lambda t, z, piece=piece: (z[1], rate(t, *z, piece)), (t0, t1), z, method="DOP853", rtol=1e-12, atol=1e-14,
-            max_step=0.3, events=events,
+            max_step=0.3, events=[*map(upwards, ends[piece : piece + 1]), *map(downwards, ends[:piece][-1:])],
         )  # fmt: skip
         t0, z = float(found.t[-1]), found.y[:, -1].tolist()
         if R is not None and found.status == 1:

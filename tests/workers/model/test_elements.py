@@ -185,7 +185,7 @@ def test_values_of_parameters_make_the_numbers_of_each_phase() -> None:
         [[[0, 0, 0], [20, 0.2, 0.25]], [[0, 0, 0], [40, 0.2, 0.5]]],
     ]
     assert (found.friction_rows[0].tolist(), found.belt[0].tolist()) == ([[0, 1], [1, 0]], [0.5, 0.0])
-    ground, guide = found.friction_constants[:, :, 0], found.friction_constants[:, :, 1]
+    ground, guide = found.friction_constants[:, :, 0, 1], found.friction_constants[:, :, 1, 1]
     assert ground.tolist() == [[[0.25, 0.25, -0.01], [0.125, 0.125, -0.01]], [[0.5, 0.5, -0.01], [0.25, 0.25, -0.01]]]
     assert guide[:, 0].tolist() == guide[:, 1].tolist() == [[0.1, 1.2 * 0.25, 0.0], [0.1, 1.2 * 0.5, 0.0]]
 
@@ -208,7 +208,7 @@ def test_all_machines_of_a_definition_are_made_alike_to_the_bit(text: str) -> No
     assert (
         shapes["stops"] == (9, C, 2)
         and shapes["contact_constants"] == (9, P, C, 3)
-        and shapes["friction_constants"] == (9, P, F, 3)
+        and shapes["friction_constants"] == (9, P, F, 2, 3)
     )
     values = {p.name: np.exp(rng.normal(size=9)) for p in system.parameters}
     many = system.definition.hybrid(values)

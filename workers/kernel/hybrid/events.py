@@ -131,9 +131,9 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
     side = states[c]
     for e in range(len(slips)):
         if slips[e] == 0 and elements.along[e, c] != 0.0:
-            if elements.static_is_kinetic[phase_index, e] == 0.0:
-                order = 2
             slips[e] = -np.int64(np.sign(side * elements.along[e, c]))
+            if elements.static_is_kinetic[phase_index, e, 1 if slips[e] > 0 else 0] == 0.0:
+                order = 2
             signal_starts[SIGNALS * len(states) + e] = -slips[e] * (order - 1)
     states[c] = OPEN
     signal_starts[g] = side * order
@@ -169,7 +169,7 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
     if slips[e] == 0:
         slips[e] = -side
         signal_starts[g] = side * (
-            2 if elements.static_is_kinetic[phase_index, e] > 0.0 else 1
+            2 if elements.static_is_kinetic[phase_index, e, 1 if side < 0 else 0] > 0.0 else 1
         )  # with static = kinetic the force is continuous
         return np.int64(0), np.int64(0)
     slips[e] = 0
@@ -178,7 +178,7 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
         return k, number
     n, row, brake = len(z) // 2, elements.friction_rows[e], elements.friction_kick[e]
     force, _ = guard_value(table.pieces, k, g, z, harmonics)
-    if abs(force) <= table.pieces.ends[k, g, 1]:
+    if table.pieces.ends[k, g, 0] <= force <= table.pieces.ends[k, g, 1]:
         reset(z, n, row, brake, elements.belt[e], 1.0)
         reset(f, n, row, brake, 0.0, 1.0)
         for i in range(W.shape[0]):

@@ -53,9 +53,9 @@ class MeasurePlan(NamedTuple):
     peaks              (N, M)          1 to measure extremes of the output, else 0
     damping            (N, P, n, n)    damping matrices
     contact_constants  (N, P, C, 3)    stiffness, damping and preload of soft contacts
-    friction_constants (N, P, F, 3)    kinetic level, static level and slope of frictions
+    friction_constants (N, P, F, 2, 3) kinetic level, static level and slope of frictions
     contact_laws       (N, C, 2, S, 3) segments of the laws of contacts: start, slope and level
-    friction_laws      (N, F, S', 3)   segments of the laws of frictions: start, slope and level
+    friction_laws      (N, F, 2, S', 3) segments of the laws of frictions: start, slope and level
 
     The last five fields are those of HybridMachines.
     """
@@ -150,7 +150,10 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
             for e in range(len(slips)):
                 if slips[e] != 0:
                     sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
-                    slope = meter.friction_constants[phase_index, e, 2] + meter.friction_laws[e, abs(slips[e]) - 1, 1]
+                    ahead, segment = 1 if slips[e] > 0 else 0, abs(slips[e]) - 1
+                    slope = (
+                        meter.friction_constants[phase_index, e, ahead, 2] + meter.friction_laws[e, ahead, segment, 1]
+                    )
                     reading.rubbed[e] += weight * slope * sliding * sliding
         since += step
 
@@ -318,8 +321,9 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
         path = (
             product(elements.friction_rows[e], end, 0) - product(elements.friction_rows[e], z, 0) - elements.belt[e] * s
         )
+        ahead = 1 if slips[e] > 0 else 0
         reading.rubbed[e] += (
-            meter.friction_constants[where, e, 0] + meter.friction_laws[e, abs(slips[e]) - 1, 2]
+            meter.friction_constants[where, e, ahead, 0] + meter.friction_laws[e, ahead, abs(slips[e]) - 1, 2]
         ) * abs(path)
 
 

@@ -28,7 +28,7 @@ def number_of(elements, states, slips, phase_index):
     A mode is one set of linear equations of motion, and its phase a part of the forcing period. For the code see
     hybrid_modes.ModeCode.
     """
-    number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[1]
+    number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[2]
     for state in states:
         number = (2 * half + 1) * number + state + half
     for sign in slips:
@@ -43,7 +43,7 @@ def read_number(elements, number, states, slips):
     A mode is one set of linear equations of motion, and its phase a part of the forcing period. For the code see
     hybrid_modes.ModeCode.
     """
-    half, most = 2 * elements.depths.shape[2], elements.speeds.shape[1]
+    half, most = 2 * elements.depths.shape[2], elements.speeds.shape[2]
     for f in range(len(slips) - 1, -1, -1):
         slips[f] = number % (2 * most + 1) - most
         number //= 2 * most + 1
@@ -68,7 +68,8 @@ def segment_of(starts, at):
 @inlined
 def slip_of(elements, e, sliding):
     """Return the state of friction e that slides at this nonzero velocity, see hybrid_modes.ModeCode."""
-    return (1 if sliding > 0.0 else -1) * (1 + segment_of(elements.speeds[e], abs(sliding)))
+    side = 1 if sliding > 0.0 else 0
+    return (2 * side - 1) * (1 + segment_of(elements.speeds[e, side], abs(sliding)))
 
 
 @inline_always

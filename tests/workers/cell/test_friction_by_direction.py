@@ -1,0 +1,113 @@
+"""Claims about friction with a law for each direction: closed forms, DOP853 of scipy, and equal laws as one law."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from atlas.spec.equation import equation_of
+from workers import Settings, System, solve_tile, trace
+from workers.model.entries import DefinitionError
+from workers.results import NO_IMPACT, PERIODIC
+
+SPECTRUM = Settings(exponents="spectrum")
+DAMPER = {"law": [[0, 0], [1, "2 * z1"]], "law_back": [[0, 0], [1, "2 * z2"]]}
+Z1, Z2 = 0.3, 0.1
+
+
+def machine(friction: dict[str, Any], **given: Any) -> System:
+    """One mass on a spring with friction on the ground."""
+    table = {
+        "name": "one-way", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]],
+        "friction": [{"name": "ground", "row": [1.0], **friction}],
+    }  # fmt: skip
+    return System.from_mapping(table | given)
+
+
+def per_cycle() -> tuple[float, float]:
+    """Ratio of displacements at rest after a cycle, and its duration."""
+    w1, w2 = math.sqrt(1.0 - Z1 * Z1), math.sqrt(1.0 - Z2 * Z2)
+    return math.exp(-math.pi * (Z1 / w1 + Z2 / w2)), math.pi / w1 + math.pi / w2
+
+
+def test_damping_that_switches_with_the_direction_decays_by_its_closed_form() -> None:
+    ratio, duration = per_cycle()
+    damped = machine(DAMPER, force=["A"], parameters={"A": 0.0, "z1": Z1, "z2": Z2, "x": 1.0})
+    history = trace(damped, {"omega": 2.0 * math.pi / duration}, periods=4)
+    assert history.states[:, 0] == pytest.approx(ratio ** np.arange(5.0), rel=1e-12)
+
+
+def test_an_orbit_with_a_level_for_each_direction_is_that_of_dop853() -> None:
+    """Levels .3 forward and .1 backward, x'' + .1 x' + x + f = 2 sin .9t, which slides always."""
+    system = machine(
+        {"law": [[0, 0.3], [1, 0.3]], "law_back": [[0, 0.1], [1, 0.1]]}, damping=[[0.1]], force=[2.0],
+    )  # fmt: skip
+    solved = solve_tile(system, {"omega": 0.9}, SPECTRUM)
+    assert (solved["regime"], solved["ground_stuck"]) == (PERIODIC, 0.0)
+    state, t, T = solved["state"].tolist(), 0.0, 2.0 * math.pi / 0.9
+
+    def turns(t: float, z: np.ndarray) -> float:
+        return float(z[1])
+
+    turns.terminal, z, lost = True, state, 0.0  # type: ignore[attr-defined]
+    while t < T:
+        forward = z[1] + 1e-9 * (2.0 * math.sin(0.9 * t) - z[0]) > 0.0
+        force, turns.direction = (0.3, -1.0) if forward else (-0.1, 1.0)  # type: ignore[attr-defined]
+        piece = solve_ivp(
+            lambda t, z, force=force: (z[1], 2.0 * math.sin(0.9 * t) - z[0] - 0.1 * z[1] - force), (t, T), z,
+            method="DOP853", rtol=1e-12, atol=1e-14, max_step=0.3, events=turns,
+        )  # fmt: skip
+        lost += force * (piece.y[0, -1] - z[0])
+        t, z = float(piece.t[-1]), piece.y[:, -1].tolist()
+    assert z == pytest.approx(state, abs=1e-9)
+    assert solved["ground_loss"] == pytest.approx(lost, rel=1e-9)
+
+
+def test_friction_holds_up_to_the_level_of_the_direction_in_which_it_would_slide() -> None:
+    """A mass at rest under a load p slides forward beyond p = .5 and backward beyond p = -.2."""
+    system = machine(
+        {"law": [[0, 0.5], [1, 0.6]], "law_back": [[0, 0.2], [1, 0.3]]}, damping=[[0.2]], load=["p"],
+        parameters={"p": 0.0},
+    )  # fmt: skip
+    p = np.array([-0.21, -0.19, 0.49, 0.51])
+    solved = solve_tile(system, {"p": p}, SPECTRUM)
+    assert solved["regime"].tolist() == [NO_IMPACT] * 4
+    assert (solved["state"][:, 0] == 0.0).tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize("law", [[[0, 0.4], [0.5, 0.2], [2, 0.6]], [[0, 0.1], [1, 0.3], [2, 0.2], [3, 0.2]]])
+def test_equal_laws_for_both_directions_are_one_law_to_the_bit(law: list[list[float]]) -> None:
+    given: dict[str, Any] = {"damping": [[0.1]], "force": ["A"], "parameters": {"A": 1.0}}
+    one, both = machine({"law": law}, **given), machine({"law": law, "law_back": law}, **given)
+    cells = {"omega": np.array([0.5, 0.9, 1.4]), "A": np.array([0.6, 1.0, 1.5])}
+    alone, twice = (solve_tile(system, cells, SPECTRUM) for system in (one, both))
+    for name in alone:
+        assert alone[name].tobytes() == twice[name].tobytes(), name
+
+
+def test_the_equation_and_the_table_have_both_laws() -> None:
+    system = machine(DAMPER, parameters={"z1": Z1, "z2": Z2})
+    assert "1 segments from (0, 0) to (1, 2 * z1) forward, 1 segments from (0, 0) to (1, 2 * z2) backward" in (
+        equation_of(system)
+    )
+    assert System.from_mapping(system.table()) == system
+
+
+TWO = [[0, 0.2], [1, 0.2]]
+WRONG = [
+    ({"kinetic": 1.0, "law_back": TWO}, "system.friction[0].law_back: found without a table in law; give law as a"),
+    ({"law": "0.2 + v", "within": 0.1, "range": 1, "law_back": TWO}, "law_back: found without a table in law"),
+    ({"law": TWO, "law_back": "0.2"}, "system.friction[0].law_back: found '0.2', must be 2 to 65 rows [v, force]"),
+    ({"law": TWO, "law_back": [[0, -0.1], [1, 1]]}, "system.friction[0].law_back: found force -0.1 at the defaults"),
+    ({"law": TWO, "law_back": [[0, 1], [1, 0.5]]}, "system.friction[0].law_back: falls without end from |v| 0 on"),
+    ({"law": TWO, "static": 0.3, "law_back": [[0, 0.4], [1, 1]]}, "static: found 0.3, kinetic 0.4 at the defaults"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("friction", "message"), WRONG, ids=[message for _, message in WRONG])
+def test_laws_for_each_direction_that_are_wrong_get_one_line(friction: dict[str, Any], message: str) -> None:
+    with pytest.raises(DefinitionError) as caught:
+        machine(friction)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
