@@ -82,7 +82,7 @@ MUTATIONS = tuple(
         ("workers/model/parse_force.py", "if order * turns > HIGHEST:", "if order > HIGHEST:", "workers/model/test_forces.py"),
         ("workers/model/parse_force.py", "if count > HARMONICS:", "if count > 2 * HARMONICS:", "workers/model/test_forces.py workers/model/test_systems.py"),
         ("workers/model/expression.py", "if len(text) > MAX_LENGTH and", "if len(text) > 2 * MAX_LENGTH and", "workers/model/test_expression.py"),
-        ("workers/model/definition_checks.py", "not 0.0 <= number <= 1.0:", "not 0.0 <= number <= 1.1:", "workers/model/test_systems.py workers/model/test_elements.py"),
+        ("workers/model/definition_checks.py", "not 0.0 <= number <= GREATEST_R:", "not 0.0 <= number <= GREATEST_R + 0.1:", "workers/model/test_systems.py workers/model/test_elements.py"),
         ("workers/model/parse_definition.py", "if not parameter.low <= parameter.high:", "if not parameter.low <= 2 * parameter.high:", "workers/model/test_systems.py"),
         ("workers/model/laws.py", "-np.inf, max(-low, high)", "-np.inf, high", "workers/model/test_laws.py"),
         ("workers/model/block_decomposition.py", "np.abs(lam) <= FREE * n", "np.abs(lam) <= 0.0 * n", "workers/model/test_modes.py"),

@@ -206,7 +206,7 @@ def test_what_killed_writes_have_left_is_no_fault_and_a_repair_removes_it(store:
         path.write_bytes(b"half")
     report = verify(store, sample=0)
     assert report.faults == ()
-    assert "left     2 files of killed writes, which nothing reads: --repair removes them" in str(report)
+    assert ("left", "2 files of killed writes, which nothing reads: --repair removes them") in report.rows
     assert sorted(verify(store, sample=0, repair=True).removed) == sorted(report.leftovers)
     assert not any(path.exists() for path in left)
     assert verify(store, sample=0).leftovers == ()

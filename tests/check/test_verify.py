@@ -366,7 +366,7 @@ def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path) -> 
     set_attribute(whole, "solver_version", 3)
     report = verify(whole)
     assert (report.is_sound, report.cells_solved) == (True, 0)
-    assert "sample  not solved again: the store has solver version 3, this program" in str(report)
+    assert dict(report.rows[:5])["sample"].startswith("not solved again: the store has solver version 3, this program")
 
 
 def test_a_cell_that_was_marked_failed_by_hand_is_solved_again_and_found(whole: Path) -> None:

@@ -50,7 +50,7 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
     monkeypatch.setattr(tile_records, "done_mask", slow)
     status = read_status(handle)
     assert (status.tiles_done, status.run, status.trouble) == (9, None, "")
-    assert "run      complete" in str(status)
+    assert ("run", "complete") in status.rows
 
 
 def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(

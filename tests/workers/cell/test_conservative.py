@@ -173,7 +173,7 @@ def test_the_energy_of_soft_contacts_and_springs_with_laws_is_kept() -> None:
         ("bouncing-ball", {"A": 0.0, "R": 1.0, "y": 1.0}),
     ],
 )
-@pytest.mark.parametrize("budget", [2000, 20000])
+@pytest.mark.parametrize("budget", [2000, pytest.param(20000, marks=pytest.mark.slow)])
 def test_the_budget_is_never_the_reason_where_nothing_is_lost(system: Any, values: dict[str, Any], budget: int) -> None:
     found = solve_tile(system, values, Settings(max_periods=budget, survival=0))
     assert np.isin(found["regime"], (REGULAR, CHAOTIC, UNDETERMINED)).all()
