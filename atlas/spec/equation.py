@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
+from atlas.formatting import plural
 from workers.model.elements import Contact, Friction, Phase, Spring
 from workers.model.expression import Expression, Row
 from workers.model.force import Harmonic
@@ -115,7 +116,7 @@ def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str
         return f"{_number(law)} ({count} segments at the defaults, within {_number(element.within)} of the largest)"
     assert law is not None
     first, last = (f"({', '.join(map(_number, law[i]))})" for i in (0, -1))
-    return f"{len(law) - 1 if count is None else count} segments from {first} to {last}"
+    return f"{plural(len(law) - 1 if count is None else count, 'segment')} from {first} to {last}"
 
 
 def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:

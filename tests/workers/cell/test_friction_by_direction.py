@@ -89,7 +89,7 @@ def test_equal_laws_for_both_directions_are_one_law_to_the_bit(law: list[list[fl
 
 def test_the_equation_and_the_table_have_both_laws() -> None:
     system = machine(DAMPER, parameters={"z1": Z1, "z2": Z2})
-    assert "1 segments from (0, 0) to (1, 2 * z1) forward, 1 segments from (0, 0) to (1, 2 * z2) backward" in (
+    assert "1 segment from (0, 0) to (1, 2 * z1) forward, 1 segment from (0, 0) to (1, 2 * z2) backward" in (
         equation_of(system)
     )
     assert System.from_mapping(system.table()) == system
