@@ -74,7 +74,7 @@ def byte_size(count: int) -> str:
     return f"{size:.3g} TB"
 
 
-class Summary:
+class PrintableResult:
     """Base class of the results of commands, dataclasses that a terminal, a notebook and JSON show by their
     ``rows``.
     """

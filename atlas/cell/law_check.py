@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.formatting import Summary
+from atlas.formatting import PrintableResult
 from atlas.spec.spec import Spec
 from workers import solve_tile
 from workers.model.definition import Definition
@@ -49,7 +49,7 @@ class FinerLaws(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class LawCheck(Summary):
+class LawCheck(PrintableResult):
     """The comparison of the cells of a coarse plane by the original laws and by laws of twice as many segments.
 
     segments  for each law, by its entry, its number of segments at the defaults, in the original and in the finer

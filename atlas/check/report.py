@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from atlas.errors import REPACK_HINT
-from atlas.formatting import Summary, plural
+from atlas.formatting import PrintableResult, plural
 from atlas.store.tiling import Index
 
 MAX_FAULTS_SHOWN = 50
@@ -35,7 +35,7 @@ class StoreFault:
 
 
 @dataclass(frozen=True, repr=False)
-class VerifyReport(Summary):
+class VerifyReport(PrintableResult):
     """The findings of a verification.
 
     store              path or URL of the store

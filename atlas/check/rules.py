@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.query.plane import determined
 from atlas.spec.spec import Slices, Spec
 from workers.model.hybrid_machines import feeds
 from workers.results import (
@@ -21,7 +22,6 @@ from workers.results import (
     NO_IMPACT,
     NO_REASON,
     NOT_STATIONARY,
-    OF_MOTIONS,
     PENDING,
     PERIODIC,
     QUASIPERIODIC,
@@ -120,7 +120,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     if spec.settings.exponents != "none":
         yield "aperiodic although the spec has exponents", regime == APERIODIC
     still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
-    known = np.isin(regime, [*OF_MOTIONS, APERIODIC])
+    known = determined(regime)
     attracted = known & (regime != REGULAR)
 
     for variable in spec.system_def.variables(spec.settings):

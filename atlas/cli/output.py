@@ -9,7 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
-from atlas.formatting import Summary
+from atlas.formatting import PrintableResult
 
 _WIDE = 10_000
 """Width, in characters, of the lines of a table if stdout is no terminal; no table is wider."""
@@ -33,7 +33,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def emit(result: Summary, as_json: bool) -> None:
+def emit(result: PrintableResult, as_json: bool) -> None:
     """Print a result as one JSON object, or as its text."""
     click.echo(to_json(result.as_dict()) if as_json else str(result))
 

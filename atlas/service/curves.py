@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.argument_checks import validate_type
 from atlas.errors import ChunkError
-from atlas.formatting import Summary, duration, plural
+from atlas.formatting import PrintableResult, duration, plural
 from atlas.orbits.curves.job import CurveJob, read_part, run_and_store
 from atlas.orbits.curves.plane import plane_of
 from atlas.orbits.curves.search import CurveSearch
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class CurveSummary(PartCost, Summary):
+class CurveSummary(PartCost, PrintableResult):
     """The curves of a store, and the cost of finding them.
 
     store   path or URL of the store

@@ -4,7 +4,7 @@ import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from atlas.formatting import Summary, duration, plural
+from atlas.formatting import PrintableResult, duration, plural
 from atlas.orbits.labels.table import LabelCounts, labels_of, stored_count, write_labels
 from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.progress import Progress, prepare_kernels
@@ -18,7 +18,7 @@ from workers.results import LABEL
 
 
 @dataclass(frozen=True, repr=False)
-class LabelSummary(Summary):
+class LabelSummary(PrintableResult):
     """The counts of a store's labels, and the seconds spent on labelling; 0 if the store had labels already."""
 
     store: str

@@ -12,7 +12,7 @@ import numpy as np
 
 from atlas.argument_checks import validate_flag
 from atlas.errors import InputError, RunError
-from atlas.formatting import Summary, duration, plural
+from atlas.formatting import PrintableResult, duration, plural
 from atlas.robustness.job import (
     NEEDED,
     MeasureJob,
@@ -53,7 +53,7 @@ Request = dict[str, Any]
 
 
 @dataclass(frozen=True, repr=False)
-class MeasureSummary(PartCost, Summary):
+class MeasureSummary(PartCost, PrintableResult):
     """Statistics of a store's stability measures, and the cost of computing them.
 
     store     path or URL of the store

@@ -12,7 +12,7 @@ from typing import Any
 
 from atlas.argument_checks import validate_flag, validate_path
 from atlas.errors import ChunkError, InputError
-from atlas.formatting import Summary, byte_size, plural
+from atlas.formatting import PrintableResult, byte_size, plural
 from atlas.platform import file_lock, move_whole, temporary_beside
 from atlas.service.lease import LeaseObserver
 from atlas.service.notebook import progress_reporter
@@ -33,7 +33,7 @@ SHOWN = 3
 
 
 @dataclass(frozen=True, repr=False)
-class PackSummary(Summary):
+class PackSummary(PrintableResult):
     """The result of packing a store into a zip file.
 
     file               path of the zip file

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import InputError, brief_repr
-from atlas.formatting import Summary, byte_size, count_of, duration, plural
+from atlas.formatting import PrintableResult, byte_size, count_of, duration, plural
 from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import OverviewLevels
 from atlas.platform import processors
@@ -76,7 +76,7 @@ class ProbeResult:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Summary):
+class Plan(PrintableResult):
     """The plan of an atlas: its numbers of cells and tiles, its bytes, and its expected time.
 
     spec     spec of the atlas

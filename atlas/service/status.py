@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError
-from atlas.formatting import Summary, duration
+from atlas.formatting import PrintableResult, duration
 from atlas.service.lease import LeaseObservation, LeaseObserver, LeaseRecord
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
@@ -20,7 +20,7 @@ from workers.results import REASONS, REGIMES
 
 
 @dataclass(frozen=True, repr=False)
-class StoreStatus(Summary):
+class StoreStatus(PrintableResult):
     """The finished tiles and cells of a store, the regimes of these cells, and the run that writes the store.
 
     handle      handle of the store

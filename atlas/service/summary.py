@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from atlas.formatting import Summary, duration, plural, shares
+from atlas.formatting import PrintableResult, duration, plural, shares
 from atlas.service.plan import Plan
 from atlas.service.progress import Progress, reason_lines
 from atlas.spec.laws import LawUse, law_lines, merged
@@ -33,7 +33,7 @@ class TileFailure:
 
 
 @dataclass(frozen=True, repr=False)
-class RunSummary(Summary):
+class RunSummary(PrintableResult):
     """The result of a run.
 
     store                         path or URL of the store
