@@ -1,23 +1,17 @@
 """All attractors of the clicked cell, read from the store or else searched on the cluster, and their panel."""
 
-import html
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from bokeh.models import Div
-
-from atlas.explore.background import BackgroundTasks, Show
+from atlas.explore.background import Show
 from atlas.explore.cell_lookup import CellResult
-from atlas.explore.explorer import Explorer
 from atlas.explore.grid_patch import solve_patch
 from atlas.explore.jobs import Computation
 from atlas.explore.motion import motions
-from atlas.explore.motion_panel import MotionPanel
 from atlas.explore.panel import Panel
-from atlas.explore.style import TEXT
 from atlas.explore.subject import Arrays, Subject
 from atlas.explore.text import first_compile_notice, number
 from atlas.formatting import plural
@@ -28,8 +22,6 @@ from atlas.spec.system import impacts_of
 from atlas.task.compile import ATTRACTORS
 from workers.model.system import System
 from workers.results import LARGEST, REGIME
-
-ALL = "<h4>all attractors of this cell</h4>"
 
 
 @dataclass(frozen=True)
@@ -93,64 +85,48 @@ def _answer(numbers: Mapping[str, Any], stored: bool) -> AttractorListing:
 
 
 class AttractorsPanel(Panel[CellResult]):
-    """The panel with the table of a cell's attractors; it sends their phase portraits to the panel ``motion``."""
-
-    def __init__(self, explorer: Explorer, background: BackgroundTasks, motion: MotionPanel) -> None:
-        super().__init__(explorer, background)
-        self._motion = motion
-        self.panel = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
+    """The panel with the table of a cell's attractors, and with their portraits if there are several."""
 
     def start(self, cell: CellResult) -> None:
         """Look up the attractors of a cell in the store, and search them on the cluster if they are not stored."""
-        self.panel.text = ALL
         self.run_in_background(lambda: partial(self._known, cell, stored_attractors(self._subject, cell)))
 
-    def clear(self) -> None:
-        """Show no attractors."""
-        self.panel.text = ""
-
     def show_error(self, reason: str) -> None:
-        """Show the reason why no attractors can be listed."""
-        self._show(AttractorListing(trouble=reason))
+        """Tell the reason why no attractors can be listed."""
+        self.tell("attractors", trouble=reason)
 
     def _known(self, cell: CellResult, listing: AttractorListing | None) -> None:
         if listing is None:
             first = first_compile_notice(self._subject.system, ATTRACTORS)
-            notice = f"searching from {self._subject.starts.count} initial states{first}"
-            self.panel.text = f'{ALL}<span class="waiting">{notice}</span>'
+            self.tell("attractors", waiting=f"searching from {self._subject.starts.count} initial states{first}")
             self.submit([attractor_computation(self._subject, cell)], partial(self._take, cell))
         else:
             self._take(cell, listing)
 
     def _take(self, cell: CellResult, listing: AttractorListing) -> None:
-        """Show the attractors of a cell in the table, and draw their phase portraits if there are several."""
-        self._show(listing)
+        """Tell the attractors of a cell, and their phase portraits if there are several."""
+        self.tell("attractors", **attractors_table(listing, self._subject))
         states = [attractor["state"] for attractor in listing.listed if "state" in attractor]
 
         def portraits() -> Show:
             drawn = motions(self._subject, cell.parameters, states)
-            return lambda: self._motion.portray(drawn) if drawn else None
+            told = [{"y": m.y, "v": m.v, "color": PALETTE[k % len(PALETTE)]} for k, m in drawn.items()]
+            return lambda: self.tell("portraits", portraits=told) if told else None
 
         if len(listing.listed) > 1:
             self.run_in_background(portraits)
 
-    def _show(self, listing: AttractorListing) -> None:
-        self.panel.text = ALL + attractors_table(listing, self._subject)
 
+def attractors_table(listing: AttractorListing, subject: Subject) -> dict[str, Any]:
+    """Return the attractors of a cell as fields of a message: the table, and a note or the trouble.
 
-def attractors_table(listing: AttractorListing, subject: Subject) -> str:
-    """Return the attractors of a cell as an HTML table, with a bound on the share of an attractor that it may lack."""
+    Each row begins with the colour of its portrait. The note bounds the share of an attractor that the list may lack.
+    """
     if listing.trouble:
-        return f'<span class="trouble">{html.escape(listing.trouble)}</span>'
+        return {"trouble": listing.trouble}
     if not listing.listed:
-        return f"none of {plural(listing.starts, 'initial state')} is decided"
+        return {"note": f"none of {plural(listing.starts, 'initial state')} is decided"}
     exponents = subject.settings.exponents != "none"
-    heads = ["", "", "regime", "n-p-q", *([LARGEST.words] if exponents else []), "share, 95 %"]
-    rows = [
-        f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
-        + _cells("td", _attractor(attractor, k == listing.own_index, exponents, subject.system)).removeprefix("<tr>")
-        for k, attractor in enumerate(listing.listed)
-    ]
     notes = [
         f"of {plural(listing.starts, 'initial state')}",
         "► reached from the cell's own" if listing.own_index >= 0 else "",
@@ -160,8 +136,14 @@ def attractors_table(listing: AttractorListing, subject: Subject) -> str:
         " in under 5 % of cases",
         "stored" if listing.stored else f"found now, tolerance {subject.settings.tolerance:g}",
     ]
-    table = f'<table class="list">{_cells("th", heads)}{"".join(rows)}</table>'
-    return f'{table}<span class="waiting">{html.escape("; ".join(filter(None, notes)))}</span>'
+    return {
+        "heads": ["", "regime", "n-p-q", *([LARGEST.words] if exponents else []), "share, 95 %"],
+        "rows": [
+            [PALETTE[k % len(PALETTE)], *_attractor(attractor, k == listing.own_index, exponents, subject.system)]
+            for k, attractor in enumerate(listing.listed)
+        ],
+        "note": "; ".join(filter(None, notes)),
+    }
 
 
 def _attractor(attractor: Mapping[str, Any], is_own: bool, exponents: bool, system: System) -> list[str]:
@@ -176,7 +158,3 @@ def _attractor(attractor: Mapping[str, Any], is_own: bool, exponents: bool, syst
     share, low, high = (100 * attractor[name] for name in ("share", "share_low", "share_high"))
     regime = attractor[REGIME.name].replace("_", " ")
     return ["►" if is_own else "", regime, orbit, *largest, f"{share:.0f} % ({low:.0f}–{high:.0f})"]
-
-
-def _cells(tag: str, texts: Iterable[str]) -> str:
-    return f"<tr>{''.join(f'<{tag}>{html.escape(text)}</{tag}>' for text in texts)}</tr>"

@@ -1,4 +1,4 @@
-"""Slow work of a page in threads of its own; the results are shown in the thread of the page's Bokeh document."""
+"""Slow work of a page in threads of its own; the results are shown in the thread of the server."""
 
 import logging
 import threading
@@ -6,7 +6,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
-from bokeh.document import Document
 from tornado.ioloop import IOLoop
 
 from atlas.errors import InputError, RunError
@@ -19,32 +18,29 @@ Show = Callable[[], None]
 
 
 class BackgroundTasks:
-    """The worker threads of a page. The object must be created in the document's thread.
+    """The worker threads of a page. The object must be created in the server's thread.
 
-    document   the Bokeh document of the page
-    on_error   called in the document's thread with the reason why some work failed
+    on_error   called in the server's thread with the reason why some work failed
     """
 
-    def __init__(self, document: Document, on_error: Callable[[str], None]) -> None:
-        self._document, self.refuse, self._loop = document, on_error, IOLoop.current()
+    def __init__(self, on_error: Callable[[str], None]) -> None:
+        self.refuse, self._loop = on_error, IOLoop.current()
         self._lock, self.closed = threading.Lock(), False
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
 
-    def call_in_document(self, callback: Show) -> None:
-        """Call ``callback`` in the document's thread; do nothing once the page is closed or its session has ended."""
-        self._loop.add_callback(self._show, callback)
-
     def deferred_call(self, callback: Callable[..., None]) -> Callable[..., None]:
-        """Return a function for other threads that calls ``callback`` with its arguments in the document's thread."""
-        return lambda *arguments: self.call_in_document(partial(callback, *arguments))
+        """Return a function for other threads that calls ``callback`` with its arguments in the server's thread.
+
+        The callback is not called once the page is closed.
+        """
+        return lambda *arguments: self._loop.add_callback(self._show, partial(callback, *arguments))
 
     def _show(self, callback: Show) -> None:
-        # Bokeh empties a document some time before it reports the end of its session, both in this thread.
-        if not self.closed and self._document.session_context is not None:
-            self._document.add_next_tick_callback(callback)
+        if not self.closed:
+            callback()
 
     def run(self, work: Callable[[], Show], on_error: Callable[[str], None] | None = None) -> None:
-        """Call ``work`` in a thread of the page; then call the function that it returns in the document's thread.
+        """Call ``work`` in a thread of the page; then call the function that it returns in the server's thread.
 
         If ``work`` fails, ``on_error`` is called there instead, with the reason. Its default is the handler of all the
         work.
@@ -59,7 +55,7 @@ class BackgroundTasks:
             except BaseException as error:  # a defect must not leave the page without a message
                 logging.getLogger(__name__).exception("the page could not do something")
                 act = partial(refused, f"this could not be done: {why(error)}")
-            self.call_in_document(act)
+            self.deferred_call(act)()
 
         with self._lock:
             if not self.closed:

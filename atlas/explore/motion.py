@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,11 @@ class MotionPlotData:
     stops: list[float]
     lane: int | None
     per_period: float
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """The plot data as fields of a message."""
+        return vars(self)
 
 
 def motion_of(orbit: CellTrajectory) -> MotionPlotData:

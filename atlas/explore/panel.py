@@ -5,7 +5,7 @@ A result that arrives after its panel has changed the topic is discarded. This i
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from atlas.explore.background import BackgroundTasks, Show
 from atlas.explore.explorer import Explorer
@@ -14,14 +14,23 @@ from atlas.explore.jobs import Computation, ComputationJob
 A = TypeVar("A")
 
 
+class Tell(Protocol):
+    """A function that tells the page something: what it is, and its fields."""
+
+    def __call__(self, what: str, **fields: Any) -> None:
+        """Send a message to the page."""
+
+
 class Panel(Generic[A]):
     """Base class of panels that show one ``topic`` at a time, None if there is none.
 
-    Subclasses implement ``start``, ``clear`` and ``show_error``.
+    Subclasses implement ``start``, and where needed ``clear`` and ``show_error``. What a panel shows it tells the page
+    by ``tell``.
     """
 
-    def __init__(self, explorer: Explorer, background: BackgroundTasks) -> None:
+    def __init__(self, explorer: Explorer, background: BackgroundTasks, tell: Tell) -> None:
         self._explorer, self._subject, self._background = explorer, explorer.subject, background
+        self.tell = tell
         self.topic: A | None = None
         self._turns = 0
 
@@ -55,7 +64,7 @@ class Panel(Generic[A]):
     def submit(self, questions: Iterable[Computation[Any]], on_result: Callable[[Any], None]) -> None:
         """Submit computations to the workers, before the earlier ones of this panel.
 
-        ``on_result`` is called in the document's thread with each post-processed result, ``show_error`` with each error
+        ``on_result`` is called in the server's thread with each post-processed result, ``show_error`` with each error
         message.
         """
         answers = [self._background.deferred_call(self._current(act)) for act in (on_result, self.show_error)]
@@ -64,7 +73,7 @@ class Panel(Generic[A]):
         )
 
     def run_in_background(self, work: Callable[[], Show]) -> None:
-        """Call ``work`` in a thread of the page; then call the function that it returns in the document's thread."""
+        """Call ``work`` in a thread of the page; then call the function that it returns in the server's thread."""
         turns, show_result = self._turns, self._current(_do)
 
         def prepare_result() -> Show:
@@ -73,14 +82,14 @@ class Panel(Generic[A]):
         self._background.run(prepare_result, self._current(self.show_error))
 
     def progress_callback(self) -> Callable[[Show], None]:
-        """Return a function by which work in another thread shows intermediate results in the document's thread.
+        """Return a function by which work in another thread shows intermediate results in the server's thread.
 
-        The function must be created in the document's thread before the work begins.
+        The function must be created in the server's thread before the work begins.
         """
         return self._background.deferred_call(self._current(_do))
 
     def _current(self, callback: Callable[..., None]) -> Callable[..., None]:
-        """Return ``callback`` for the document's thread, without effect once the panel has changed its topic."""
+        """Return ``callback`` for the server's thread, without effect once the panel has changed its topic."""
         turns = self._turns
         return lambda *arguments: callback(*arguments) if turns == self._turns else None
 

@@ -1,7 +1,7 @@
 """The HTTP server of the pages, in a thread of its own, for requests with its token.
 
 Every user of this machine can reach its loopback, and others can reach another address or a proxy. Therefore a page is
-sent only to requests with the server's token, and a websocket is opened only for sessions that such a page signed.
+sent, and a websocket is opened, only for requests with the server's token.
 
 Any web page that the user has open can send requests to the server. By a host name of its own that resolves to this
 machine (DNS rebinding), such a page may even read the answers. Therefore requests on the loopback, without a proxy,
@@ -14,41 +14,61 @@ import logging
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 from urllib.parse import urlsplit
+
+from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPServerRequest
+from tornado.ioloop import IOLoop
+from tornado.netutil import bind_sockets
+from tornado.web import Application, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from atlas.errors import InputError
 from atlas.explore.threads import restarting_thread, why
 
-if TYPE_CHECKING:
-    from bokeh.document import Document
-    from tornado.httputil import HTTPServerRequest
-
-
 HOST = "127.0.0.1"
 EVERY = ("0.0.0.0", "::", "")
 """Addresses that mean all network addresses of a machine."""
-FORGOTTEN = 4000
-"""Time, in milliseconds, after which a page without a connection is removed."""
+PING_SECONDS = 10.0
+"""Time, in seconds, between two signs of life that keep a connection open, or show that it is lost."""
+
+Arguments = Mapping[str, list[bytes]]
+
+
+class Connection(Protocol):
+    """The server's side of an open page."""
+
+    def hear(self, text: str | bytes) -> None:
+        """Take a message of the page."""
+
+    def close(self) -> None:
+        """End the work for the page."""
 
 
 class PageServer:
-    """Serves documents that ``make`` fills, one for each page that a browser opens, until ``stop``.
+    """Serves pages to browsers, and a connection to each, until ``stop``.
 
-    make    function that fills a Bokeh document
-    port    port to listen at; 0 is any free port
-    host    address to listen at
-    token   token with which a proxy forwards requests for any host; by default a new token is made
+    page      returns the HTML of the page for the arguments of an address
+    connect   returns the connection of a page, given a function that sends it messages, and the arguments
+    port      port to listen at; 0 is any free port
+    host      address to listen at
+    token     token with which a proxy forwards requests for any host; by default a new token is made
 
-    Raise InputError if the address cannot be used.
+    Both functions are called in the server's thread. Raise InputError if the address cannot be used.
     """
 
     def __init__(
-        self, make: "Callable[[Document], None]", port: int = 0, host: str = HOST, token: str | None = None
+        self,
+        page: Callable[[Arguments], str],
+        connect: Callable[[Callable[[str | bytes], None], Arguments], Connection],
+        port: int = 0,
+        host: str = HOST,
+        token: str | None = None,
     ) -> None:
-        self._make, self._asked, self._host = make, port, host
+        self._page, self._connect, self._asked, self._host = page, connect, port, host
         self._any_host = token is not None or host != HOST
         self.token = token or secrets.token_urlsafe(16)
         self._ready, self._stopped, self._error = threading.Event(), threading.Event(), ""
@@ -92,12 +112,7 @@ class PageServer:
             self._ready.set()
 
     def _serve(self) -> None:
-        from bokeh.server.server import BaseServer
-        from tornado.httpserver import HTTPServer
-        from tornado.ioloop import IOLoop
-
-        for name in ("bokeh", "tornado"):
-            logging.getLogger(name).setLevel(logging.ERROR)
+        logging.getLogger("tornado").setLevel(logging.ERROR)
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
         try:
@@ -111,25 +126,30 @@ class PageServer:
         self.port = int(sockets[0].getsockname()[1])
         with ExitStack() as ending:
             ending.callback(loop.close, all_fds=False)
-            for bound in sockets:
-                ending.callback(bound.close)
-            pages = _guarded_pages(self._make, None if self._any_host else own_hosts(self.port), self.token)
-            http = HTTPServer(pages)
+            open_pages = set[_Socket]()
+            given: dict[str, Any] = {"server": self, "open_pages": open_pages}
+            hosts = None if self._any_host else own_hosts(self.port)
+            http = HTTPServer(_application(given, hosts, self.token))
             http.add_sockets(sockets)
+            ending.callback(loop.run_sync, http.close_all_connections)
+            ending.callback(lambda: _end_all(open_pages))
             ending.callback(http.stop)
-            server = BaseServer(loop, pages, http)
-            server.start()
-            ending.callback(server.stop, wait=False)
             self._stop = lambda: loop.add_callback(loop.stop)
             loop.add_callback(self._ready.set)
             if not self._stopped.is_set():
                 loop.start()
 
+    def page(self, arguments: Arguments) -> str:
+        """Return the HTML of the page for the arguments of an address."""
+        return self._page(arguments)
+
+    def connect(self, send: Callable[[str | bytes], None], arguments: Arguments) -> Connection:
+        """Return the connection of a page that has opened its websocket."""
+        return self._connect(send, arguments)
+
 
 def listening(port: int, host: str) -> "list[socket.socket]":
     """Return sockets that listen at an address. Raise InputError if the address cannot be used."""
-    from tornado.netutil import bind_sockets
-
     if not 0 <= port <= 65535:
         raise InputError(f"port: found {port}, must be 0 to 65535")
     try:
@@ -146,15 +166,12 @@ def own_hosts(port: int) -> list[str]:
     return [f"{name}:{port}" for name in names] + [name for name in names if port == 80]
 
 
-def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -> int | None:
+def refusal(request: HTTPServerRequest, hosts: list[str] | None, token: str) -> int | None:
     """Return the HTTP status with which a request is refused; None if the request is served.
 
     request   the request
     hosts     hosts that the request may name; None for any host
     token     token that the request must have
-
-    Requests for Bokeh's scripts need no token. Its websocket, by itself, accepts only sessions that a page of this
-    server signed.
     """
     origin = request.headers.get("Origin")
     if hosts is not None and (
@@ -162,8 +179,7 @@ def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -
     ):
         return 403
     request_token = request.query_arguments.get("token", [b""])[-1]
-    for_all = request.path.startswith("/static/") or request.path in ("/ws", "/favicon.ico")
-    if not for_all and not hmac.compare_digest(request_token, token.encode()):
+    if not hmac.compare_digest(request_token, token.encode()):
         return 403
     try:
         for value in (argument for values in request.query_arguments.values() for argument in values):
@@ -173,31 +189,76 @@ def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -
     return None
 
 
-def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str] | None, token: str) -> "Any":
-    """Return the Tornado application that serves pages, but only to requests that ``refusal`` accepts."""
-    from bokeh.application import Application as Pages
-    from bokeh.application.handlers.function import FunctionHandler
-    from bokeh.server.tornado import BokehTornado
-    from tornado.web import ErrorHandler
+class _Guarded(RequestHandler):
+    """Serves requests that ``refusal`` accepts."""
 
-    class RestrictedTornado(BokehTornado):
-        def find_handler(self, request: "HTTPServerRequest", **kwargs: Any) -> Any:
-            status = refusal(request, hosts, token)
-            if status is not None:
-                return self.get_handler_delegate(request, ErrorHandler, {"status_code": status})
-            return super().find_handler(request, **kwargs)
+    def initialize(self, server: PageServer, open_pages: "set[_Socket]") -> None:
+        self.server, self.open_pages = server, open_pages
 
-        def resources(self, absolute_url: Any = None) -> Any:
-            return super().resources("./")  # relative to the page, since a proxy may serve the page in a folder
+    def prepare(self) -> None:
+        status = refusal(self.request, self.settings["hosts"], self.settings["secret"])
+        if status is not None:
+            self.send_error(status)
 
-    return RestrictedTornado(
-        {"/": Pages(FunctionHandler(make))},
-        extra_websocket_origins=["*"] if hosts is None else hosts,
-        sign_sessions=True,
-        secret_key=secrets.token_bytes(32),
-        include_headers=[],  # otherwise a page's source has the headers of its request, and a hub's cookies
-        include_cookies=[],
-        unused_session_lifetime_milliseconds=FORGOTTEN,
-        check_unused_sessions_milliseconds=FORGOTTEN // 4,
-        keep_alive_milliseconds=10_000,
+
+class _Page(_Guarded):
+    """The page."""
+
+    def get(self) -> None:
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.finish(self.server.page(self.request.query_arguments))
+
+
+class _Nothing(_Guarded):
+    """Any other address."""
+
+    def get(self) -> None:
+        self.send_error(404)
+
+
+class _Socket(_Guarded, WebSocketHandler):
+    """The websocket of a page."""
+
+    connection: Connection | None = None
+
+    def check_origin(self, origin: str) -> bool:
+        return True  # ``refusal`` has checked it, by the hosts of this server
+
+    def open(self, *_: str, **__: str) -> None:
+        self.open_pages.add(self)
+        self.connection = self.server.connect(self._send, self.request.query_arguments)
+
+    def _send(self, message: str | bytes) -> None:
+        with suppress(WebSocketClosedError):
+            self.write_message(message, binary=isinstance(message, bytes))
+
+    def on_message(self, message: str | bytes) -> None:
+        if self.connection is not None:
+            self.connection.hear(message)
+
+    def on_close(self) -> None:
+        self.open_pages.discard(self)
+        if self.connection is not None:
+            self.connection.close()
+
+    def end(self) -> None:
+        """Close the connection at once, since the server ends."""
+        self.on_close()
+        if self.ws_connection is not None and self.ws_connection.stream is not None:
+            self.ws_connection.stream.close()
+
+
+def _end_all(open_pages: set[_Socket]) -> None:
+    for page in list(open_pages):
+        page.end()
+
+
+def _application(given: dict[str, Any], hosts: list[str] | None, token: str) -> Application:
+    """Return the application that serves a page and its websocket, but only to requests that ``refusal`` accepts."""
+    return Application(
+        [("/", _Page, given), ("/ws", _Socket, given), ("/.*", _Nothing, given)],
+        hosts=hosts,
+        secret=token,
+        websocket_ping_interval=PING_SECONDS,
     )

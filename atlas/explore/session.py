@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-    from atlas.explore.page import ExplorerPage
-
 
 HUB = "JUPYTERHUB_SERVICE_PREFIX"
 """Environment variable in which JupyterHub gives the path of this user's server."""
@@ -46,16 +44,21 @@ class ExplorerSession:
     """
 
     def __init__(self, explorer: Explorer, folder: Path, port: int = 0, query: str = "", host: str = HOST) -> None:
-        from atlas.explore.page import build_page
+        from atlas.explore.connection import PageConnection, page_for
         from atlas.explore.picture_renderer import warm_up
 
         self.explorer = explorer
         self._proxy = os.environ.get(HUB, "").rstrip("/")
-        self._pages: set[ExplorerPage] = set()
+        self._pages: list[PageConnection] = []
         warm_up(explorer)
         token = secrets.token_urlsafe(16) if self._proxy else None
-        make = partial(build_page, explorer=explorer, folder=folder, pages=self._pages)
-        self._server = PageServer(make, port, host, token)
+
+        def connect(send: Callable[[str | bytes], None], arguments: Mapping[str, list[bytes]]) -> PageConnection:
+            page = PageConnection(explorer, folder, send, arguments)
+            self._pages = [page, *(other for other in self._pages if not other.is_closed)]
+            return page
+
+        self._server = PageServer(partial(page_for, explorer), connect, port, host, token)
         self._query = "&".join(filter(None, [query, f"token={self._server.token}"]))
 
     @property
@@ -64,10 +67,8 @@ class ExplorerSession:
         return f"{self._server.url}?{self._query}"
 
     def stop(self) -> None:
-        """Close the pages, end the server and stop the jobs on the cluster."""
+        """End the server, which closes the pages, and stop the jobs on the cluster."""
         self._server.stop()
-        for page in self._pages:
-            page.close()
         self.explorer.stop()
         for page in self._pages:
             page.wait()
@@ -115,12 +116,8 @@ def explore(
 
     Without ``client``, ``scheduler`` and ``workers`` the active Dask client is used, or else one local worker process
     per processor. A page is sent only to addresses with the session's token. Raise InputError if the subject cannot be
-    explored, an argument is invalid, or Bokeh is not installed.
+    explored or an argument is invalid.
     """
-    try:
-        import bokeh  # noqa: F401
-    except ImportError:
-        raise InputError("explore needs Bokeh: pip install bokeh") from None
     if workers is not None and workers < 1:
         raise InputError(f"workers: found {workers!r}, must be 1 or more")
     if not 0 < tolerance < math.inf:

@@ -1,32 +1,25 @@
-"""The texts of an explorer page, as Unicode and HTML: symbols, numbers, the clicked cell, the title, the ticks."""
+"""The texts of an explorer page, as Unicode: symbols, numbers, labels, the chosen cell, the progress."""
 
 import base64
-import html
 import json
 import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from atlas.cell.point_command import point_words
 from atlas.explore.cell_lookup import CellResult
 from atlas.explore.jobs import ServiceState
-from atlas.explore.subject import PlaneParameters, Subject
+from atlas.explore.subject import Subject
 from atlas.formatting import mathtext_to_unicode, plural
 from atlas.task.compile import compile_notice, kernels_for
+from workers.model.parameter import Parameter
 from workers.model.system import System
 from workers.results import REASON, REASONS, REGIME, result_named
 
 _ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-HELP = """point at the plane: the numbers of a cell
-click a cell, or Enter: all of it, its motion, its attractors, its basins
-wheel, two fingers, + and −: zoom
-drag, arrows: move
-pen above the plane: a cut along a line"""
-CLOSE = 1e-3
-"""Largest ratio of a window's width to its centre at which ticks show distances from a round number near the centre."""
 
 
 def symbol_of(system: System, name: str) -> str:
@@ -34,23 +27,16 @@ def symbol_of(system: System, name: str) -> str:
     return mathtext_to_unicode(system.parameter(name).symbol or name)
 
 
-def title(subject: Subject, plane: PlaneParameters) -> str:
-    """Return the title of a page as HTML: the subject's name and the fixed parameters.
-
-    Initial states that are zero are left out.
-    """
-    states, values = subject.system.states, dict(plane.parameters)
-    equations = [
-        _equation(symbol_of(subject.system, name), number(values[name]))
-        for name in (parameter.name for parameter in subject.system.parameters)
-        if name in values and (values[name] or name not in states)
-    ]
-    return f"<b>{html.escape(subject.name)}</b> &ensp; {', &ensp;'.join(equations)}"
+def axis_label(system: System, name: str) -> str:
+    """Return the label of an axis: the parameter's meaning, symbol and unit."""
+    parameter = system.parameter(name)
+    unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+    return f"{meaning_of(parameter)} {symbol_of(system, name)}{unit}"
 
 
-def _equation(symbol: str, value: str) -> str:
-    """Return a symbol and its value as HTML that stays on one line."""
-    return f'<span class="number"><i>{html.escape(symbol)}</i> = {value}</span>'
+def meaning_of(parameter: Parameter) -> str:
+    """Return a parameter's meaning in few words."""
+    return parameter.meaning.split(":")[0]
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -69,39 +55,6 @@ def number(value: float, digits: int = 6) -> str:
     return np.format_float_positional(near + 0.0, trim="-").replace("-", "−")
 
 
-class TickFormat(NamedTuple):
-    """How the ticks of an axis are written: each tick as (tick - base) / unit.
-
-    base       value from which ticks count
-    unit       value of one unit
-    decimals   number of decimals
-    label      label of the axis
-    """
-
-    base: float
-    unit: float
-    decimals: int
-    label: str
-
-
-def ticks(subject: Subject, name: str, low: float, high: float) -> TickFormat:
-    """Return the tick format of the axis ``name`` in the window from ``low`` to ``high``.
-
-    The ticks are plain numbers, or in a narrow window distances from a round number.
-    """
-    parameter = subject.system.parameter(name)
-    meaning = parameter.meaning.split(":")[0]
-    unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
-    symbol = symbol_of(subject.system, name)
-    span, centre = high - low, 0.5 * (low + high)
-    power = math.floor(math.log10(span))
-    if span > CLOSE * abs(centre):
-        return TickFormat(0.0, 1.0, max(0, 1 - power), f"{meaning} {symbol}{unit}")
-    base = round(centre, -power)
-    scale = f"10{str(power).translate(_ABOVE)}"
-    return TickFormat(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale}{unit}")
-
-
 def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
     """Return the parameters that tell where a cell lies, as texts by symbol.
 
@@ -109,12 +62,6 @@ def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
     """
     changed = [name for name, value in subject.plane.parameters if parameters[name] != value]
     return {symbol_of(subject.system, name): number(parameters[name]) for name in (*subject.axes, *changed)}
-
-
-def cell_line(cell: CellResult, subject: Subject) -> str:
-    """Return a line of HTML with the position of a cell and its regime."""
-    places = [_equation(name, value) for name, value in where(subject, cell.parameters).items()]
-    return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
 def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
@@ -189,9 +136,9 @@ def refinement(shares: Sequence[float]) -> str:
 
 
 def progress(state: ServiceState, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:
-    """Return the progress line under the plane as HTML.
+    """Return the progress line under the plane as text.
 
-    state    state of the job service: trouble, workers and solving rate
+    state    state of the job service: workers and solving rate
     left     number of tiles still to be solved
     notes    further notes; empty ones are left out
     shares   shares of the viewport, see ``refinement``
@@ -200,11 +147,7 @@ def progress(state: ServiceState, left: int, notes: Iterable[str], shares: Seque
     if left:
         parts.append(f"{plural(left, 'tile')} left, {spaced(state.rate)} cells/s")
     parts.append(plural(state.workers, "worker"))
-    parts += [html.escape(note) for note in notes if note]
-    text = " &middot; ".join(parts)
-    if state.trouble:
-        text = f'<span class="trouble" role="alert">{html.escape(state.trouble)}</span> &middot; {text}'
-    return text
+    return " · ".join([*parts, *filter(None, notes)])
 
 
 def spaced(count: float) -> str:

@@ -25,6 +25,8 @@ Ends = tuple[float | None, float | None]
 
 FARTHEST = 1e100
 """Maximum absolute value of an axis on a page; its inverse is the minimum value of a logarithmic axis."""
+CELL_PLANE = "cell."
+"""Beginning of the arguments of an address with the fixed parameters of a cell in another plane."""
 CURVES = "curves"
 """The overlay that draws the curves of a store."""
 
@@ -48,6 +50,11 @@ class FollowedOrbit(NamedTuple):
     step: int
     value: float
 
+    @property
+    def text(self) -> str:
+        """The orbit as the argument of an address."""
+        return ",".join(map(str, self))
+
 
 ARGUMENTS = (
     "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow.orbit", "without",
@@ -55,7 +62,8 @@ ARGUMENTS = (
 )  # fmt: skip
 """Names of the arguments of a page's address, besides parameters; ``token`` is the token of the server.
 
-Names with a dot cannot be confused with parameters, which have none.
+Names with a dot cannot be confused with parameters, which have none; ``cell.NAME`` is the value of a fixed parameter
+``NAME`` at the chosen cell, if it lies in another plane.
 """
 
 
@@ -151,10 +159,6 @@ class ViewState:
         return look
 
 
-STYLE_FIELDS = "kind", "variable", "log", "overlays", "hidden", "vmin", "vmax"
-"""Fields of a view state that give the style of its plane, which the browser may change by itself."""
-
-
 def kinds(subject: Subject) -> list[str]:
     """Return the kinds of maps that the subject's variables allow."""
     return [kind for kind in MAPS if subject.variables.keys() >= set(required_variables(kind))] + [SCALAR]
@@ -177,17 +181,19 @@ def initial_view(subject: Subject) -> ViewState:
     return ViewState(x, y, subject.plane, kinds(subject)[0], subject.numbers[0])
 
 
-def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -> ViewState:
+def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float], keep_window: bool = False) -> ViewState:
     """Return a view of another subject's whole plane, in the style of an old view as far as possible.
 
-    subject   the other subject
-    view      the old view
-    values    value of each parameter, by name, for the plane of the new view
+    subject       the other subject
+    view          the old view
+    values        value of each parameter, by name, for the plane of the new view
+    keep_window   True to keep the window of the old view, whose axes are the same
 
     A view may reach beyond the valid range of a parameter. A parameter whose value is out of range therefore takes the
     value of the subject's plane.
     """
     begun, parameter = initial_view(subject), subject.system.parameter
+    ends = (view.vmin, view.vmax) if view.kind in kinds(subject) else (None, None)
     return replace(
         begun,
         plane=PlaneParameters(
@@ -196,6 +202,10 @@ def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -
                 for name, plane_value in begun.plane.parameters
             )
         ),
+        x=view.x if keep_window else begun.x,
+        y=view.y if keep_window else begun.y,
+        vmin=ends[0],
+        vmax=ends[1],
         kind=view.kind if view.kind in kinds(subject) else begun.kind,
         variable=view.variable,
         log=view.log,
@@ -210,7 +220,8 @@ def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> View
     Raise InputError, naming the argument, if the subject does not have what the argument names.
     """
     view, texts = initial_view(subject), {name: values[-1].decode() for name, values in arguments.items()}
-    for name in sorted(texts, key=lambda name: name == "cell"):  # last, since others choose its plane
+    # The cell comes after its plane, and the values in which its plane differs come last.
+    for name in sorted(texts, key=lambda name: (name.startswith(CELL_PLANE), name == "cell")):
         view = replace(view, **_fields(subject, view, name, texts[name]))
     if view.follow is not None and view.cell is None:
         raise InputError("follow: needs a cell whose orbit is followed")
@@ -238,24 +249,31 @@ def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
     subject of the address without a query, are given for axes, layer and parameters.
     """
     x, y = subject.axes
-    pairs = [("axes", f"{x},{y}")] if subject.axes != home.axes else []
-    pairs += [("layer", repr(subject.layer_value))] if subject.layer_value != home.layer_value else []
-    pairs += [(x, "{!r}:{!r}".format(*view.x)), (y, "{!r}:{!r}".format(*view.y))]
+    pairs = [(x, "{!r}:{!r}".format(*view.x)), (y, "{!r}:{!r}".format(*view.y))]
     plane_values = dict(subject.plane.parameters)
     pairs += [(name, repr(value)) for name, value in view.plane.parameters if value != plane_values[name]]
-    points: dict[str, tuple[float, ...] | None] = {"cut": view.cut}
-    if view.cell and view.cell[0] == view.plane:
-        points["cell"] = view.cell[1:]
+    points = {"cut": view.cut, "cell": view.cell and view.cell[1:]}
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
-    if "cell" in points and view.follow:
-        pairs.append(("follow.orbit", ",".join(map(str, view.follow))))
-    return urlencode(pairs, safe=":,")
+    if view.cell:
+        here = dict(view.plane.parameters)
+        pairs += [
+            (f"{CELL_PLANE}{name}", repr(value)) for name, value in view.cell[0].parameters if value != here[name]
+        ]
+        pairs += [("follow.orbit", view.follow.text)] if view.follow else []
+    return "&".join(filter(None, [base_query(home, subject), urlencode(pairs, safe=":,")]))
+
+
+def base_query(home: Subject, subject: Subject) -> str:
+    """Return the part of an address's query that names axes and layer, where they differ from those of ``home``."""
+    pairs = [("axes", ",".join(subject.axes))] if subject.axes != home.axes else []
+    pairs += [("layer", repr(subject.layer_value))] if subject.layer_value != home.layer_value else []
+    return urlencode(pairs, safe=",")
 
 
 def style_query(view: ViewState) -> str:
     """Return the part of an address's query that says how a view is drawn: map, overlays, curves and colour limits.
 
-    The browser may change the style by itself, see ``live.mjs``.
+    The browser may change the style by itself, see ``live/live.mjs``.
     """
     pairs = [("kind", view.kind)]
     if view.kind == SCALAR:
@@ -298,6 +316,10 @@ def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[st
         return {"hidden": tuple(sorted(_possible(name, listed, CURVE_KINDS), key=CURVE_KINDS.index))}
     if name == "cell":
         return {name: (view.plane, *_points(subject, name, value, 1))}
+    if name.startswith(CELL_PLANE) and view.cell is not None:
+        plane, *point = view.cell
+        changed = subject.plane_with(plane, name.removeprefix(CELL_PLANE), _number(name, value))
+        return {"cell": (changed, *point)}
     if name == "follow.orbit":
         along, _, numbers = value.partition(",")
         check_names("parameter in follow", [along], followable(subject))

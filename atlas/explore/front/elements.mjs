@@ -1,4 +1,10 @@
-// Creates elements of a page, and helps with canvases and animation frames.
+// Finds and creates elements of a page, and helps with canvases and animation frames.
+
+/** Return the element of the page with an id. */
+export const by = (id) => document.getElementById(id);
+
+/** Return the value of a colour of the page's style sheet. */
+export const themed = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** Return a new HTML element with the properties `given` and the children `inside`. */
 export function make(tag, given, ...inside) {
@@ -26,8 +32,17 @@ export function oncePerFrame(act) {
   return ask;
 }
 
-/** Copy a text to the clipboard; return true if that was possible. */
-export async function copied(text) {
+/** Return a button with a label that copies the text which the function `text` returns. */
+export function copying(label, text) {
+  const button = make("button", { type: "button", textContent: label });
+  button.onclick = async () => {
+    button.textContent = await copied(await text()) ? "copied" : "not copied";
+    setTimeout(() => { button.textContent = label; }, 1500);
+  };
+  return button;
+}
+
+async function copied(text) {
   if (navigator.clipboard) return navigator.clipboard.writeText(text).then(() => true, () => false);
   const box = document.body.appendChild(make("textarea", { value: text })); // plain HTTP has no clipboard
   box.select();

@@ -51,7 +51,7 @@ function barOf(bar, look) {
 }
 
 function endsInputs(bar, look, change) {
-  const inputs = ["lower", "upper"].map((end) => make("input", { type: "number", step: "any", ariaLabel: `${end} end of the scale` }));
+  const inputs = ["lower", "upper"].map((end) => make("input", { type: "number", step: "any", ariaLabel: `${end} colour limit` }));
   const update = () => inputs.forEach((input, end) => { input.value = Number(endsOf(bar, look().ends)[end].toPrecision(6)); });
   const set = () => {
     const ends = inputs.map((input) => input.valueAsNumber);
@@ -61,7 +61,7 @@ function endsInputs(bar, look, change) {
   for (const input of inputs) input.onchange = set;
   const button = (textContent, ends) => make("button", { type: "button", textContent, onclick: () => change({ ends }) });
   const fit = bar.fit ? [button("fit the scale to the view", bar.fit)] : [];
-  return Object.assign(make("div", { className: "ends" }, "from", inputs[0], "to", inputs[1], button("reset", null), ...fit), { update });
+  return Object.assign(make("div", { className: "ends" }, make("span", { textContent: "colour limits" }), inputs[0], "to", inputs[1], button("reset", null), ...fit), { update });
 }
 
 function lineEntry(kind, label, look, change, paint) {

@@ -1,9 +1,9 @@
 // Draws a plane of an atlas in a canvas: its cells, its curves and marks, its axes.
 //
-// A scene is all that is drawn: { axes: [x, y], window, plot, shown, lines, names, hidden, mark }. An axis is as
+// A scene is all that is drawn: { axes: [x, y], window, plot, shown, lines, names, hidden, mark, over }. An axis is as
 // `drawnAxis` makes it; the window has limits in the drawn coordinates; the plot is the area in CSS pixels. shown is
 // { map, codes, colors, regions }, by cell; lines are as atlas.render.coded_lines returns them. names
-// are labels; hidden are kinds of curves; mark has the edges of the chosen cell.
+// are labels; hidden are kinds of curves; mark has the edges of the chosen cell; over(pen, scene) draws over all of it.
 
 import { pixel, rgb, texturesOf } from "./colors.mjs";
 import { number } from "./words.mjs";
@@ -150,6 +150,7 @@ export function drawPlane(pen, scene, ratio) {
   drawCurves(pen, scene);
   drawNames(pen, scene);
   if (scene.mark) drawMark(pen, scene);
+  if (scene.over) scene.over(pen, scene);
   pen.restore();
   return enlarged;
 }
@@ -172,6 +173,15 @@ export function ticks(low, high, most, log) {
   return found;
 }
 
+/** Return how the ticks of an axis are written: each value as (value - base) / unit, and the label that says so. In a
+ * window much narrower than its distance from zero, they count from a round number near its centre. */
+export function tickFormat({ label }, low, high) {
+  const span = high - low, centre = 0.5 * (low + high), power = Math.floor(Math.log10(span));
+  if (!(span <= 1e-3 * Math.abs(centre))) return { base: 0, unit: 1, label };
+  const base = power < 0 ? Number(centre.toFixed(-power)) : Math.round(centre / 10 ** power) * 10 ** power;
+  return { base, unit: 10 ** power, label: `${label}: distance from ${String(base).replace("-", "−")} in ${number(10 ** power, 1)}` };
+}
+
 /** Draw the frame of a plot, its ticks and its labels. */
 export function drawAxes(pen, scene, ink, faint) {
   const { axes, plot } = scene, bottom = plot.top + plot.height;
@@ -181,26 +191,29 @@ export function drawAxes(pen, scene, ink, faint) {
   pen.lineWidth = 1;
   pen.strokeRect(plot.left - 0.5, plot.top - 0.5, plot.width + 1, plot.height + 1);
   axes.forEach((axis, along) => {
-    const [low, high] = scene.window[along].map(axis.from);
+    const [low, high] = scene.window[along].map(axis.from), { base, unit, label } = tickFormat(axis, low, high);
+    const [first, last] = [low, high].map((end) => (end - base) / unit);
     pen.textAlign = along ? "right" : "center";
     pen.textBaseline = along ? "middle" : "top";
-    for (const value of ticks(low, high, along ? plot.height / 60 : plot.width / 80, axis.log)) {
-      const at = place(scene, value, along);
+    const values = axis.texts ? axis.texts.map((_, k) => k) : ticks(first, last, along ? plot.height / 60 : plot.width / 80, axis.log && !base);
+    for (const value of values) {
+      const at = place(scene, base + value * unit, along);
       pen.beginPath();
       if (along) pen.moveTo(plot.left - 5, at), pen.lineTo(plot.left, at);
       else pen.moveTo(at, bottom), pen.lineTo(at, bottom + 5);
       pen.stroke();
-      if (along) pen.fillText(number(value, 8), plot.left - 8, at);
-      else pen.fillText(number(value, 8), at, bottom + 8);
+      const text = axis.texts?.[value] ?? number(value, 8);
+      if (along) pen.fillText(text, plot.left - 8, at);
+      else pen.fillText(text, at, bottom + 8);
     }
+    pen.save();
+    if (along) pen.translate(6, plot.top + plot.height / 2), pen.rotate(-Math.PI / 2);
+    else pen.translate(plot.left + plot.width / 2, bottom + 28);
+    pen.textAlign = "center";
+    pen.textBaseline = "top";
+    pen.fillText(label, 0, 0, along ? plot.height : plot.width);
+    pen.restore();
   });
-  pen.textAlign = "center";
-  pen.fillText(axes[0].label, plot.left + plot.width / 2, bottom + 28, plot.width);
-  pen.save();
-  pen.translate(12, plot.top + plot.height / 2);
-  pen.rotate(-Math.PI / 2);
-  pen.fillText(axes[1].label, 0, -6, plot.height);
-  pen.restore();
 }
 
 function drawCurves(pen, scene) {

@@ -1,9 +1,9 @@
 // The atlas that the page shows: its description, its axes, and the arrays of its cells, unpacked at their first use.
 
+import { by } from "../front/elements.mjs";
 import { reader } from "../front/look.mjs";
 import { drawnAxis } from "../front/plane.mjs";
 
-export const by = (id) => document.getElementById(id);
 export const atlas = JSON.parse(by("atlas").textContent);
 export const { regime: REGIME, pending: PENDING, largest: LARGEST } = atlas.special;
 export const axes = atlas.axes.map(drawnAxis);

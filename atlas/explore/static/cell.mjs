@@ -1,8 +1,8 @@
 // Shows the chosen cell of the static page with all its numbers, and the precision of the page's numbers.
 
-import { copied, make } from "../front/elements.mjs";
+import { by, copying, make } from "../front/elements.mjs";
 import { number, resultsOf } from "../front/words.mjs";
-import { LARGEST, NX, PENDING, REGIME, atlas, axes, by, numbers } from "./atlas.mjs";
+import { LARGEST, NX, PENDING, REGIME, atlas, axes, numbers } from "./atlas.mjs";
 
 const isCoarse = () => Math.max(...atlas.block) > 1;
 
@@ -56,16 +56,6 @@ export async function drawCell(cell, stays) {
     ...retried.map((name) => `${atlas.allowances[name]} ${arrays[name][k]}`)].join(" ");
   panel.append(make("p", { className: "note", textContent: "This command solves the cell again:" }),
     make("code", { textContent: line }), copying("copy command", () => line));
-}
-
-/** Return a button with a label that copies the text which the function `text` returns. */
-export function copying(label, text) {
-  const button = make("button", { type: "button", textContent: label });
-  button.onclick = async () => {
-    button.textContent = await copied(await text()) ? "copied" : "not copied";
-    setTimeout(() => { button.textContent = label; }, 1500);
-  };
-  return button;
 }
 
 /** Fill in the fixed parameters of the page, and how exact its numbers are. */

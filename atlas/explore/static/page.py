@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.argument_checks import validate_path
 from atlas.errors import InputError
 from atlas.explore.front.numbers import PackedArray, add_codes, pack, pack_within
-from atlas.explore.front.script import legend_css, program
+from atlas.explore.front.script import program, shared_css
 from atlas.explore.static import about
 from atlas.formatting import byte_size
 from atlas.query.attractors import has_all_attractors, select_attractor, select_dominant
@@ -215,7 +215,7 @@ def _filled(
         spec=html.escape(words["spec"]),
         citation=html.escape(words["citation"]),
         provenance=listed,
-        style=legend_css() + parts["page.css"],
+        style=shared_css() + parts["page.css"],
         program=program(__package__, *PROGRAM),
         described=json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":")).replace(
             "<", "\\u003c"

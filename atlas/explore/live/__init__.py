@@ -1,0 +1,1 @@
+"""The live page of the explorer: its HTML, and the JavaScript modules that only it has."""
