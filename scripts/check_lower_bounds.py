@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = ("cloud", "explore")
+EXTRAS = ("cloud", "dashboard")
 """Optional packages at their lower bounds, beside the required ones; those of tests are as in any environment."""
 
 

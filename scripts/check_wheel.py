@@ -22,9 +22,9 @@ COARSER = 20
 HELD = (
     "atlas/py.typed", "workers/py.typed", "atlas/examples/omega-b.toml", "workers/model/systems/two-mass.toml",
     *(f"atlas/explore/static/{name}" for name in ("page.html", "page.css", "atlas.mjs", "cell.mjs", "page.mjs")),
-    *(f"atlas/explore/front/{name}.mjs" for name in ("numbers", "colors", "plane", "words", "key")),
-    *(f"atlas/explore/front/{name}.mjs" for name in ("live", "keys", "widgets")),
-    "atlas/explore/front/key.css",
+    *(f"atlas/explore/front/{name}.mjs" for name in ("numbers", "colors", "plane", "words", "key", "canvas")),
+    *(f"atlas/explore/live/{name}" for name in ("live.html", "live.css", "live.mjs", "state.mjs", "cell.mjs")),
+    "atlas/explore/front/page.css",
 )  # fmt: skip
 PROGRAM = """
 import atlas

@@ -105,7 +105,7 @@ class Visitor:
         elif what < 0.15:
             self._page.mouse.click(x, y)
         elif what < 0.17:
-            self._page.locator(".noUi-handle").first.focus()
+            self._page.locator("#parameters input[type=range]").first.focus()
             self._page.keyboard.press(draw.choice(["ArrowLeft", "ArrowRight"]))
         elif what < 0.3:
             self._press(draw.choice(BUTTONS))

@@ -11,7 +11,6 @@ from distributed import Client
 import atlas
 from atlas.errors import InputError
 from atlas.explore.explorer import MAX_OTHER_EXPLORERS, Explorer
-from atlas.explore.page_state import PageModel, PageState
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.view_state import carry_over, explorer_for_query, from_address
 from atlas.explore.viewport import TileKey
@@ -83,18 +82,6 @@ def test_the_link_to_other_axes_is_admitted_also_from_a_view_whose_middle_is_out
     assert dict(there.plane.parameters)["b"] == dict(turned.plane.parameters)["b"] > 0
 
 
-def test_a_box_is_forgotten_with_the_view_in_which_it_was_chosen() -> None:
-    subject = subject_of("omega-b")
-    store = PageModel(PageState(from_address(subject, {})))
-    box = ((2.5, 2.75), (0.25, 0.375))
-    for change, kept in (
-        ({"kind": "period"}, box), ({"x": (2.0, 3.0)}, None), ({"plane": subject.plane.with_value("R", 0.7)}, None),
-    ):  # fmt: skip
-        store.set(box=box)
-        store.choose(**change)
-        assert store.now.box == kept, change
-
-
 @pytest.mark.parametrize(
     ("query", "message"),
     [
@@ -149,15 +136,6 @@ def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they
     assert turned.tiles.memory is memory and memory.bytes == 32
     turned.tiles.drop()
     assert memory.bytes == 16 and explorer.tiles.tiles_of_plane(explorer.subject.plane) != []
-
-
-def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:
-    subject = subject_of("omega-b")
-    store, came = PageModel(PageState(from_address(subject, {}), trouble="old")), []
-    store.subscribe(lambda old, new: came.append((old.view.kind, new.view.kind, new.trouble)))
-    store.choose(kind="period")
-    store.choose(kind="period")
-    assert came == [("exponent", "period", "")]
 
 
 def test_a_subject_over_its_own_axes_is_itself() -> None:

@@ -61,7 +61,8 @@ def free_port() -> int:
 
 def line(explorer: Explorer) -> str:
     """What the page says of the work."""
-    return progress(explorer.patches.state, explorer.patches.n_remaining("test"), [])
+    state = explorer.patches.state
+    return f"{state.trouble} · {progress(state, explorer.patches.n_remaining('test'), [])}"
 
 
 def begun(explorer: Explorer, pixels: int) -> Viewport:

@@ -7,8 +7,6 @@ from urllib.parse import parse_qs
 
 import numpy as np
 import pytest
-from bokeh.models import ColumnDataSource
-from bokeh.plotting import figure
 
 import atlas
 from atlas.errors import InputError
@@ -24,7 +22,6 @@ from atlas.explore.branches import (
 )
 from atlas.explore.details_panel import DetailsPanel
 from atlas.explore.follow_panel import FollowPanel, label_of
-from atlas.explore.page_state import PageModel, PageState
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.view_state import FollowedOrbit, Point, ViewState, followable, from_address
 from atlas.orbits.branches.table import orbit_name
@@ -293,55 +290,69 @@ def test_an_address_that_cannot_be_followed_is_refused(subject: Subject, query: 
         from_address(subject, arguments(query))
 
 
-def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Subject) -> None:
-    follow = FollowedOrbit("omega", 1.2, 2.0, 0, 1.75)
-    store = PageModel(PageState(at_cell(subject, follow=follow, cut=(1.2, 0.1, 2.0, 0.1))))
-    assert store.now.view.picture.follow is None
-    store.choose(x=(1.3, 1.9))
-    assert store.now.view.follow == follow
-    store.escape()
-    assert store.now.view.follow is None and store.now.view.cut is not None
-    store.escape()
-    assert store.now.view.cut is None
-    store.choose(follow=follow)
-    store.choose(cell=(subject.plane, 1.8, 0.125))
-    assert store.now.view.follow is None
+@pytest.fixture
+def told() -> list[dict[str, Any]]:
+    """What panels tell the page."""
+    return []
 
 
-def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
-    subject: Subject, found: FollowedBranch
-) -> None:
-    store, jobs = PageModel(PageState(at_cell(subject))), list[Any]()
-    explorer: Any = SimpleNamespace(
-        subject=subject, patches=SimpleNamespace(request=lambda _, wanted, keep_earlier=False: jobs.append(wanted))
-    )
-    background: Any = SimpleNamespace(deferred_call=lambda act: act)
-    panel = FollowPanel(explorer, background, store, figure())
-    store.subscribe(lambda _, now: panel.show(now.view))
-    store.choose(follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
-    assert len(jobs[-1]) == 1 and "following" in panel.panel.children[1].text
-    jobs[-1][0].take(found)
-    (slider, typed), text = (
-        child.children if hasattr(child, "children") else child for child in panel._body.children[:2]
-    )
-    assert slider.end == len(found.values) - 1 and "1-2-2 symmetric" in text.text
-    slider.value = found.own_index + 4
-    assert store.now.view.follow == FollowedOrbit("omega", *WINDOW, 4, found.values[found.own_index + 4])
-    assert typed.value == found.values[found.own_index + 4]
-    typed.value = 1.7312345
-    assert store.now.view.follow is not None and store.now.view.follow.value == 1.7312345
-    assert found.values[slider.value] < 1.7312345 < found.values[slider.value + 1]
-    store.escape()
-    assert panel._body.children == [] and jobs[-1] == ()
-
-
-def test_a_link_to_a_followed_orbit_has_its_branch_found_and_shows_its_cell(subject: Subject) -> None:
-    chosen, wanted, works = at_cell(subject, follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"])), {}, list[Any]()
+@pytest.fixture
+def parts(subject: Subject, told: list[dict[str, Any]]) -> Any:
+    """What panels are made of, with the jobs that each kind of panel has asked for, and the work in the background."""
+    wanted, works = dict[type, list[Any]](), list[Any]()
     patches = SimpleNamespace(request=lambda who, jobs, keep_earlier=False: wanted.update({type(who): list(jobs)}))
     background = SimpleNamespace(deferred_call=lambda act: act, run=lambda work, refuse: works.append(work))
-    mark = ColumnDataSource({"x": [], "y": []})
-    made: list[Any] = [SimpleNamespace(subject=subject, patches=patches), background, PageModel(PageState(chosen))]
-    details = DetailsPanel(*made, lambda: "a sight", mark, figure())  # type: ignore[arg-type, return-value]
+    made = (
+        SimpleNamespace(subject=subject, patches=patches),
+        background,
+        lambda what, **given: told.append({"tell": what, **given}),
+    )
+    return SimpleNamespace(made=made, wanted=wanted, works=works)
+
+
+def test_a_panel_tells_the_branch_and_the_orbit_that_the_view_chooses(
+    subject: Subject, found: FollowedBranch, parts: Any, told: list[dict[str, Any]]
+) -> None:
+    panel, follow = FollowPanel(*parts.made), FollowedOrbit("omega", *WINDOW, 0, CELL["omega"])
+    view = at_cell(subject, follow=follow)
+    panel.show(view)
+    (job,) = parts.wanted[FollowPanel]
+    assert told.pop()["says"].startswith("following its branch along ω")
+    job.take(found)
+    branch, orbit = told
+    assert (branch["tell"], len(branch["values"]), branch["own"]) == ("branch", len(found.values), found.own_index)
+    assert dict(orbit["rows"])["orbit n-p-q"] == "1-2-2 symmetric" and orbit["at"] == [CELL["omega"], CELL["b"]]
+    assert [arrow["text"].split()[-2] for arrow in orbit["arrows"]] != [] and orbit["index"] == found.own_index
+    moved = panel.find(view, 1.7312345)
+    panel.show(replace(view, follow=moved))
+    assert told[-1]["value"] == 1.7312345 == moved.value
+    assert found.values[told[-1]["index"]] < 1.7312345 < found.values[told[-1]["index"] + 1]
+    with pytest.raises(InputError, match=r"ω: found 2\.5, must be .* on this branch"):
+        panel.find(view, 2.5)
+    panel.show(at_cell(subject))
+    assert parts.wanted[FollowPanel] == [] and len(told) == 3
+
+
+def test_an_orbit_of_another_plane_is_followed_without_marks(
+    subject: Subject, found: FollowedBranch, parts: Any, told: list[dict[str, Any]]
+) -> None:
+    panel, follow = FollowPanel(*parts.made), FollowedOrbit("omega", *WINDOW, 0, CELL["omega"])
+    panel.show(at_cell(subject, follow=follow, plane=subject.plane.with_value("R", 0.7)))
+    parts.wanted[FollowPanel][0].take(found)
+    assert told[-1]["tell"] == "orbit" and told[-1]["at"] is None and told[-1]["arrows"] == []
+
+
+def test_a_branch_that_is_not_found_ends_following_with_its_reason(
+    subject: Subject, parts: Any, told: list[dict[str, Any]]
+) -> None:
+    FollowPanel(*parts.made).show(at_cell(subject, follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"])))
+    parts.wanted[FollowPanel][0].refuse("this cell is chaotic")
+    assert told[-1] == {"tell": "follow", "ended": True, "says": "this cell is chaotic"}
+
+
+def test_a_link_to_a_followed_orbit_has_its_branch_found_and_shows_its_cell(subject: Subject, parts: Any) -> None:
+    chosen = at_cell(subject, follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
+    details = DetailsPanel(*parts.made, lambda: "a sight")  # type: ignore[arg-type, return-value]
     details.show(chosen)
-    assert details.topic == chosen.cell and len(works) == 1
-    assert [errand.question.function for errand in wanted[FollowPanel]] == [follow_orbit]
+    assert details.topic == chosen.cell and len(parts.works) == 1
+    assert [errand.question.function for errand in parts.wanted[FollowPanel]] == [follow_orbit]

@@ -104,3 +104,15 @@ def test_the_border_of_an_outlined_region_is_drawn_and_the_frame_of_the_plane_is
     )
     columns = run(browser, script)
     assert len(columns) == 200 and {*columns} == {199}
+
+
+def test_ticks_of_a_window_a_million_times_smaller_count_from_a_round_number(browser: Any) -> None:
+    low, high = 2.9941234567, 2.9941234567 + 3.5e-6
+    script = """
+        const { tickFormat } = await import("/front/plane.mjs")
+        return given.map(([low, high]) => tickFormat({ label: "omega" }, low, high))
+    """
+    found, wide = run(browser, script, [[low, high], [2.0, 4.0]])
+    assert low - 1e-5 < found["base"] < high + 1e-5 and len(repr(found["base"])) <= 9
+    assert found["unit"] == pytest.approx(1e-6) and found["label"] == f"omega: distance from {found['base']} in 10⁻⁶"
+    assert wide == {"base": 0, "unit": 1, "label": "omega"}

@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 
-from atlas.explore.front.script import LIVE, SHARED
+from atlas.explore.front.script import SHARED
+from atlas.explore.live.page import PROGRAM as LIVE
 from atlas.explore.static.page import PROGRAM
 from tests.explore.modules import FRONT, run
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")
 
-STATIC = FRONT.parent / "static"
+STATIC, OWN = FRONT.parent / "static", FRONT.parent / "live"
 MODULES = sorted(FRONT.parent.rglob("*.mjs"))
 DECLARED = re.compile(r"^(?:export )?(?:async )?(?:function|const|let|class) ([\w$]+)", re.MULTILINE)
 
@@ -46,7 +47,8 @@ def test_a_module_uses_what_it_imports_and_imports_what_is_exported(path: Path) 
 
 
 @pytest.mark.parametrize(
-    "paths", [[FRONT / n for n in (*SHARED, *LIVE)], [FRONT / n for n in SHARED] + [STATIC / n for n in PROGRAM]]
+    "paths",
+    [[FRONT / n for n in SHARED] + [folder / n for n in own] for folder, own in ((OWN, LIVE), (STATIC, PROGRAM))],
 )
 def test_modules_that_are_joined_into_one_script_share_no_name(paths: list[Path]) -> None:
     found = Counter(chain.from_iterable(DECLARED.findall(path.read_text(encoding="utf-8")) for path in paths))
@@ -54,9 +56,12 @@ def test_modules_that_are_joined_into_one_script_share_no_name(paths: list[Path]
     assert len(found) > 40
 
 
-def test_no_python_file_but_one_holds_javascript() -> None:
+def test_both_pages_have_every_shared_module_and_none_is_left_out() -> None:
+    assert {*SHARED} == {path.name for path in FRONT.glob("*.mjs")}
+    assert ({*LIVE}, {*PROGRAM}) == tuple({path.name for path in folder.glob("*.mjs")} for folder in (OWN, STATIC))
+
+
+def test_no_python_file_holds_javascript() -> None:
     texts = {path: path.read_text(encoding="utf-8") for path in FRONT.parent.rglob("*.py")}
-    assert [path.name for path, text in texts.items() if "CustomJS(" in text] == ["script.py"]
     script = re.compile(r"\bconst \w+ =|addEventListener|=> \{|getElementById")
-    found = [path.name for path, text in texts.items() if script.search(text)]
-    assert found == ["script.py"]  # which joins modules into one
+    assert [path.name for path, text in texts.items() if script.search(text)] == []

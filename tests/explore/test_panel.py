@@ -26,7 +26,7 @@ class Letters(Panel[str]):
 
         explorer: Any = SimpleNamespace(subject=None, patches=SimpleNamespace(request=want))
         background: Any = SimpleNamespace(deferred_call=lambda act: act, run=lambda *given: self.works.append(given))
-        super().__init__(explorer, background)
+        super().__init__(explorer, background, lambda what, **fields: None)
 
     def start(self, about: str) -> None:
         self.shown.append(f"begin {about}")

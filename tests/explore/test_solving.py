@@ -353,11 +353,13 @@ def test_cells_out_of_range_are_invalid(finished: Path, client: Client) -> None:
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
 
 
-def test_workers_need_no_bokeh() -> None:
+def test_neither_workers_nor_the_explorer_need_bokeh() -> None:
     imports = """
 from atlas.explore.branches import follow_orbit
 from atlas.explore.cut import cut_computation
 from atlas.explore.grid_patch import solve_patch
+from atlas.explore.connection import PageConnection
+from atlas.explore.session import explore
 """
     program = f"import sys\n{imports}\nprint('bokeh' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

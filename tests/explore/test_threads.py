@@ -11,7 +11,6 @@ from typing import Any
 from urllib.request import urlopen
 
 import pytest
-from bokeh.document import Document
 from distributed import Client
 from tornado.ioloop import IOLoop
 
@@ -116,25 +115,26 @@ def test_a_server_that_cannot_begin_says_why_and_is_not_waited_for(monkeypatch: 
     def broken(*_: object) -> None:
         raise ValueError("no pages")
 
-    monkeypatch.setattr("atlas.explore.server._guarded_pages", broken)
+    monkeypatch.setattr("atlas.explore.server._application", broken)
     with pytest.raises(RuntimeError, match="ValueError: no pages"):
-        PageServer(lambda document: None)
+        PageServer(lambda arguments: "", lambda send, arguments: pytest.fail("no page"))
 
 
 def test_a_server_whose_loop_ends_by_an_exception_serves_on_at_its_address() -> None:
-    made = list[Document]()
+    made = list[int]()
 
-    def fill(document: Document) -> None:
-        made.append(document)
+    def page(arguments: object) -> str:
+        made.append(1)
         if len(made) == 1:
             IOLoop.current().add_callback(sys.exit, "the loop ends")
+        return "a page"
 
     def answers() -> bool:
         with suppress(OSError), urlopen(f"{server.url}?token={server.token}", timeout=20.0) as found:
             return int(found.status) == 200
         return False
 
-    server = PageServer(fill)
+    server = PageServer(page, lambda send, arguments: pytest.fail("no page"))
     try:
         assert waited(lambda: answers() and len(made) > 1)
     finally:

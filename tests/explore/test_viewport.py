@@ -7,7 +7,6 @@ from typing import NoReturn
 
 import numpy as np
 import pytest
-from bokeh.document import Document
 
 import atlas
 from atlas.errors import InputError
@@ -15,12 +14,11 @@ from atlas.explore.compose import compose_view, seen_atlas
 from atlas.explore.explorer import Explorer
 from atlas.explore.jobs import ServiceState as Work
 from atlas.explore.lattice import Lattice
-from atlas.explore.page import ExplorerPage
-from atlas.explore.page_state import PageModel, PageState
+from atlas.explore.live.page import page_of
 from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
 from atlas.explore.plane_message import maps_of
 from atlas.explore.subject import PlaneParameters, Subject, exploration_settings, subject_of
-from atlas.explore.text import first_compile_notice, mathtext_to_unicode, progress, refinement, ticks
+from atlas.explore.text import first_compile_notice, mathtext_to_unicode, progress, refinement
 from atlas.explore.tile_cache import MemoryTileCache, TileCache
 from atlas.explore.view_state import from_address, initial_view, kinds, overlays
 from atlas.explore.viewport import STAGES, TILE_CELLS, TileKey
@@ -220,6 +218,18 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
     assert chosen.curves is not None and {"fold", "graze"}.isdisjoint(chosen.curves)
 
 
+def test_an_address_keeps_a_cell_of_another_plane_and_its_followed_orbit(subject: Subject) -> None:
+    given = {"R": [b"0.7"], "cell": [b"2.5,0.25"], "cell.R": [b"0.75"], "follow.orbit": [b"omega,2.0,3.0,1,2.5"]}
+    chosen = from_address(subject, given)
+    assert (
+        chosen.cell is not None and dict(chosen.cell[0].parameters)["R"] == 0.75 != dict(chosen.plane.parameters)["R"]
+    )
+    address = to_address(subject, subject, chosen)
+    assert "cell=2.5,0.25&cell.R=0.75&follow.orbit=omega,2.0,3.0,1,2.5" in address
+    with pytest.raises(InputError, match="R = 7"):
+        from_address(subject, given | {"cell.R": [b"7"]})
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -273,7 +283,7 @@ LOG_AXES = {
         ("cell=2,0.2&follow.orbit=omega,1e300,-1e300,5,1e308", ""),
     ],
 )
-def test_an_address_is_refused_or_has_a_page(query: str, message: str, tmp_path: Path) -> None:
+def test_an_address_is_refused_or_has_a_page(query: str, message: str) -> None:
     """Truth: impossible cuts and windows ended in a blank page, since its server could not make it."""
     spec = atlas.Spec("two-mass", LOG_AXES)
     subject = Subject(spec, exploration_settings(spec.settings))
@@ -284,16 +294,13 @@ def test_an_address_is_refused_or_has_a_page(query: str, message: str, tmp_path:
         return
     chosen = from_address(subject, given)
     explorer = Explorer(subject, unreachable)
-    page, came = (
-        ExplorerPage(Document(), explorer, PageModel(PageState(chosen)), tmp_path, explorer),
-        SimpleQueue[RenderedPicture | str](),
-    )
+    came = SimpleQueue[RenderedPicture | str]()
+    assert "<title>two-mass: explorer</title>" in page_of(subject, subject, chosen)
     painter = PictureRenderer(explorer, came.put, came.put)
     try:
         painter.show(chosen, (300, 200))
         assert isinstance(came.get(timeout=60.0), RenderedPicture)
     finally:
-        page.close()
         painter.close()
         explorer.stop()
 
@@ -349,15 +356,6 @@ def test_symbols_of_mathtext_are_written_in_unicode() -> None:
         "x₁₂",
         "R",
     ]
-
-
-def test_ticks_of_a_window_a_million_times_smaller_count_from_a_round_number(subject: Subject) -> None:
-    low, high = 2.9941234567, 2.9941234567 + 3.5e-6
-    found = ticks(subject, "omega", low, high)
-    assert low - 1e-5 < found.base < high + 1e-5 and len(repr(found.base)) <= 9
-    assert found.unit == 1e-6 and "distance from 2.99412" in found.label
-    value = low + 1e-6
-    assert abs((value - found.base) / found.unit * found.unit + found.base - value) <= np.spacing(value)
 
 
 def test_the_text_of_a_spec_is_read_as_that_spec() -> None:

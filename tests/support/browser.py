@@ -20,10 +20,9 @@ def needs_browser() -> None:
 
 
 class Tab:
-    """A tab: complaints of the browser, hosts asked, and the state of the page's models.
+    """A tab: complaints of the browser, hosts asked, and what a live page shows.
 
-    ``sent`` and ``received`` are the bytes of each frame of its websockets; ``messages`` how many of Bokeh's messages
-    these make up, both ways.
+    ``sent`` and ``received`` are the bytes of each message of its websockets.
     """
 
     def __init__(self, page: Any) -> None:
@@ -32,25 +31,18 @@ class Tab:
         self.hosts: set[str] = set()
         self.sent: list[int] = []
         self.received: list[int] = []
-        self.messages = 0
         page.on("websocket", self._listen)
         page.on("console", self._hear)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
 
     def _hear(self, said: Any) -> None:
-        # A driver speaks of its own speed, and Bokeh of plots without data yet.
-        known = "GL Driver Message", "could not set initial ranges"
-        if said.type in ("error", "warning") and not any(words in said.text for words in known):
+        if said.type in ("error", "warning") and "GL Driver Message" not in said.text:  # a driver speaks of its speed
             self.complaints.append(said.text)
 
     def _listen(self, socket: Any) -> None:
         for event, sizes in (("framesent", self.sent), ("framereceived", self.received)):
-            socket.on(event, lambda content, sizes=sizes: self._count(content, sizes))
-
-    def _count(self, content: str | bytes, sizes: list[int]) -> None:
-        sizes.append(len(content))
-        self.messages += isinstance(content, str) and content.startswith('{"msgid"')
+            socket.on(event, lambda content, sizes=sizes: sizes.append(len(content)))
 
     def address(self) -> str:
         """The address shown in the tab."""
@@ -60,31 +52,32 @@ class Tab:
         """The window (x, y, width, height) filled by the cells of the picture; None if there is none."""
         found = self.page.evaluate(
             """() => {
-                if (!window.Bokeh || !Bokeh.documents.length) return null
-                for (const model of Bokeh.documents[0]._all_models.values())
-                    if (model.type === "ColumnDataSource" && model.data.cells && model.data.cells.length)
-                        return model.data.cells[0]
-                return null
+                if (typeof shown === "undefined" || !shown || !held || plane.draw.due) return null
+                const [across, up] = held.axes.map(({edges}) => [edges[0], edges.at(-1) - edges[0]])
+                return [across[0], up[0], across[1], up[1]]
             }"""
         )
         return found if found is None else list(found)
 
     def mark(self) -> tuple[float, float] | None:
         """The cell marked on the page, (x, y); None if there is none."""
-        found = self.page.evaluate(
-            """() => {
-                for (const model of Bokeh.documents[0]._all_models.values())
-                    if (model.type === "ColumnDataSource" && Object.keys(model.data).join() === "x,y")
-                        return [...model.data.x, ...model.data.y]
-            }"""
-        )
+        found = self.page.evaluate("() => (isInPlane(state) ? state.cell.at : null)")
         return (float(found[0]), float(found[1])) if found else None
 
-    def models(self, kind: str, name: str) -> list[Any]:
-        """A property of all models of a type on the page."""
-        script = """([kind, name]) => [...Bokeh.documents[0]._all_models.values()]
-            .filter((model) => model.type === kind).map((model) => model[name])"""
-        return list(self.page.evaluate(script, [kind, name]))
+    def inked(self, canvas: str, color: str) -> list[tuple[float, int]]:
+        """The columns of a canvas that have a colour, such as #aa3377: CSS pixels from its left, and how many there."""
+        found = self.page.evaluate(
+            """([name, color]) => {
+                const canvas = document.querySelector(name), {width, height} = canvas
+                if (!width || !height) return []
+                const data = new Uint32Array(canvas.getContext("2d").getImageData(0, 0, width, height).data.buffer)
+                const one = pixel(rgb(color)), counts = new Map()
+                data.forEach((each, k) => { if (each === one) counts.set(k % width, (counts.get(k % width) || 0) + 1) })
+                return [...counts].map(([x, count]) => [x * canvas.getBoundingClientRect().width / width, count])
+            }""",
+            [canvas, color],
+        )
+        return [(float(x), int(count)) for x, count in found]
 
     def text(self) -> str:
         """All text on the page, except the options of its menus."""
@@ -93,29 +86,26 @@ class Tab:
                 """() => {
                     const unread = ["STYLE", "SCRIPT", "OPTION"]
                     const read = (node) => node.nodeType === 3 ? node.textContent
-                        : [...(node.shadowRoot ? node.shadowRoot.childNodes : []), ...node.childNodes]
-                            .filter((each) => !unread.includes(each.nodeName)).map(read).join(" ")
+                        : [...node.childNodes].filter((each) => !unread.includes(each.nodeName)).map(read).join(" ")
                     return read(document.body)
                 }"""
             )
         )
 
-    def plot(self, label: str = "") -> tuple[float, float, float, float]:
-        """The plot area of the first plot with such a label, in pixels of the tab: left, top, width, height."""
-        box = self.page.evaluate(
+    def plot(self, label: str = "map of") -> tuple[float, float, float, float]:
+        """The plot area of the canvas with such a label, in pixels of the tab: left, top, width, height."""
+        left, top, width, height = self.page.evaluate(
             """(label) => {
-                const view = [...Bokeh.index.roots].map(function find(view) {
-                    const named = view.model.html_attributes?.["aria-label"] ?? ""
-                    if (view.model.type === "Figure" && named.startsWith(label)) return view
-                    for (const child of view.child_views || []) { const found = find(child); if (found) return found }
-                    return null
-                }).filter(Boolean)[0]
-                const inner = view.frame.bbox, box = view.el.getBoundingClientRect()
-                return [box.left + inner.left, box.top + inner.top, inner.width, inner.height]
+                const canvas = document.querySelector(`canvas[aria-label^="${label}"]`)
+                const box = canvas.getBoundingClientRect()
+                if (canvas.id === "map") {
+                    const {plot} = plane.scene()
+                    return [box.left + plot.left, box.top + plot.top, plot.width, plot.height]
+                }
+                return [box.left + 64, box.top + 6, box.width - 76, box.height - 52]
             }""",
             label,
         )
-        left, top, width, height = box
         return left, top, width, height
 
     def wheel(self, times: int, at: tuple[float, float] = (0.3, 0.6)) -> None:
@@ -123,15 +113,10 @@ class Tab:
         left, top, width, height = self.plot()
         self.page.evaluate(
             """([x, y, times]) => {
-                let node = document.elementFromPoint(x, y)
-                for (let inner = node; inner; node = inner || node) {
-                    inner = node.shadowRoot && node.shadowRoot.elementFromPoint(x, y)
-                    if (!inner || inner === node) break
-                    node = inner
-                }
+                const node = document.elementFromPoint(x, y)
                 for (let k = 0; k < times; k++)
                     node.dispatchEvent(new WheelEvent("wheel",
-                        {clientX: x, clientY: y, deltaY: -120, bubbles: true, composed: true, cancelable: true}))
+                        {clientX: x, clientY: y, deltaY: -120, bubbles: true, cancelable: true}))
             }""",
             [left + at[0] * width, top + at[1] * height, times],
         )
