@@ -7,6 +7,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from distributed import Client
 
@@ -80,12 +81,11 @@ def test_a_view_is_answered_and_its_cells_come_as_bytes_with_the_progress(visit:
         answer = await visitor.ask("view", **SIZE)
         assert answer == {"id": 1}
         await visitor.until(lambda: visitor.pictures)
-        import numpy as np
 
         about, _ = opened(np.frombuffer(visitor.pictures[0], np.uint8))
         assert about["maps"][0]["name"] == "exponent" and about["axes"][0]["edges"][0] <= 2.5
         progress = await visitor.hears("progress")
-        assert "exploring tolerance 0.05" in progress["text"] and 0.0 <= progress["share"] <= 1.0
+        assert "exploring tolerance 0.1" in progress["text"] and 0.0 <= progress["share"] <= 1.0
 
     visit(act)
 

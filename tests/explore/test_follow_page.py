@@ -8,6 +8,7 @@ import pytest
 
 import atlas
 from atlas.explore.session import ExplorerSession
+from atlas.render.class_maps import PALETTE
 from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
@@ -45,32 +46,32 @@ def followed(tab: Tab) -> tuple[str, float, float, int, float]:
     return along, low, high, int(step), value
 
 
-def data(tab: Tab, name: str) -> dict[str, Any]:
-    """The data of the source that has a column of this name."""
-    return next(dict(model) for model in tab.models("ColumnDataSource", "data") if name in model)
+def marks(tab: Tab) -> Any:
+    """The marks of the followed orbit over the plane; None if there are none."""
+    return tab.page.evaluate("() => follow.marks()")
 
 
-def handle(tab: Tab) -> Any:
-    """The slider along the branch: the last one of the page."""
-    return tab.page.locator(".noUi-handle").last
+def slider(tab: Tab) -> Any:
+    """The slider along the branch."""
+    return tab.page.get_by_label("along the branch")
 
 
 def test_the_mouse_drags_the_orbit_along_its_branch_and_the_marker_moves_with_it(tab: Tab) -> None:
     start(tab)
-    assert data(tab, "follow_x")["follow_x"] == [1.75] and data(tab, "follow_x")["follow_y"] == [0.125]
-    before, gap = tab.text(), data(tab, "branch_gap")
-    handle(tab).scroll_into_view_if_needed()
-    box = handle(tab).bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    tab.until(lambda: marks(tab)["at"] == [1.75, 0.125])
+    before, gap = tab.text(), marks(tab)["gap"]
+    slider(tab).scroll_into_view_if_needed()
+    box, last = slider(tab).bounding_box(), int(slider(tab).get_attribute("max"))
+    x, y = box["x"] + 8 + (box["width"] - 16) * int(slider(tab).input_value()) / last, box["y"] + box["height"] / 2
     tab.page.mouse.move(x, y)
     tab.page.mouse.down()
     tab.page.mouse.move(x - 20, y, steps=5)
     tab.page.mouse.up()
     tab.until(lambda: "follow.orbit=" in tab.address() and followed(tab)[3] < -2)
-    tab.until(lambda: data(tab, "follow_x")["follow_x"] == [followed(tab)[4]])
+    tab.until(lambda: marks(tab)["value"] == followed(tab)[4])
     value = followed(tab)[4]
     assert value < 1.75 and tab.text() != before
-    tab.until(lambda: data(tab, "branch_gap") != gap)
+    assert marks(tab)["gap"] != gap and marks(tab)["at"] == [value, 0.125]
 
 
 def test_arrows_of_the_keyboard_walk_over_the_fold_where_the_parameter_turns_back(
@@ -78,7 +79,7 @@ def test_arrows_of_the_keyboard_walk_over_the_fold_where_the_parameter_turns_bac
 ) -> None:
     start(tab)
     assert "turns back at" in tab.text()
-    handle(tab).focus()
+    slider(tab).focus()
     values = [1.75]
     while len(values) < 60 and (len(values) < 2 or values[-1] > values[-2]):
         tab.page.keyboard.press("ArrowRight")
@@ -92,10 +93,10 @@ def test_arrows_lead_to_the_fold_and_to_the_edge_of_the_view_with_their_distance
     tab: Tab, events: dict[str, float]
 ) -> None:
     start(tab)
-    tab.until(lambda: len(data(tab, "x1")["x1"]) == 2)
-    arrows = data(tab, "x1")
-    assert arrows["x1"] == [1.7, pytest.approx(events["fold"], abs=1e-9)]
-    fold = arrows["text"][1].removesuffix(" →")
+    tab.until(lambda: len(marks(tab)["arrows"]) == 2)
+    arrows = marks(tab)["arrows"]
+    assert [arrow["ends"][2] for arrow in arrows] == [1.7, pytest.approx(events["fold"], abs=1e-9)]
+    fold = arrows[1]["text"].removesuffix(" →")
     assert fold.startswith("fold +") and float(fold.split("+")[1]) == pytest.approx(events["fold"] - 1.75, rel=1e-4)
 
 
@@ -114,19 +115,19 @@ def test_a_typed_value_is_solved_exactly_and_one_beyond_the_branch_is_refused(ta
 
 def test_a_link_opens_the_followed_orbit_again_back_leads_there_and_escape_ends_it(tab: Tab) -> None:
     start(tab)
-    handle(tab).focus()
+    slider(tab).focus()
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: followed(tab)[3] == -1)
     address, value = tab.address(), followed(tab)[4]
     tab.page.goto("about:blank")
     tab.page.goto(address)
     tab.until(lambda: "orbit followed" in tab.text(), 120.0)
-    tab.until(lambda: data(tab, "follow_x")["follow_x"] == [value])
+    tab.until(lambda: (marks(tab) or {}).get("at") == [value, 0.125])
     tab.page.wait_for_timeout(2000)
-    handle(tab).focus()
+    slider(tab).focus()
     tab.page.keyboard.press("Escape")
     tab.until(lambda: "follow.orbit=" not in tab.address())
-    assert data(tab, "follow_x")["follow_x"] == [] and "orbit followed" not in tab.text()
+    assert marks(tab) is None and "orbit followed" not in tab.text()
     tab.page.go_back()
     tab.until(lambda: "orbit followed" in tab.text(), 120.0)
     assert followed(tab)[4] == value
@@ -135,9 +136,9 @@ def test_a_link_opens_the_followed_orbit_again_back_leads_there_and_escape_ends_
 def test_the_machine_moves_on_the_orbit_that_is_followed(tab: Tab) -> None:
     start(tab)
     tab.page.get_by_role("button", name="move the machine").first.click()
-    places = [model for model in tab.models("ColumnDataSource", "data") if "at" in model]
-    tab.until(lambda: [model for model in tab.models("ColumnDataSource", "data") if "at" in model] != places)
-    handle(tab).focus()
+    before = tab.inked(".machine", PALETTE[0])
+    tab.until(lambda: tab.inked(".machine", PALETTE[0]) != before)
+    slider(tab).focus()
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: followed(tab)[3] == -1)
     tab.page.keyboard.press("Escape")

@@ -100,7 +100,12 @@ def test_keys_move_and_zoom_the_view_and_escape_closes_a_cut(tab: Tab) -> None:
         return [float(end) for end in ends.split(":")]
 
     tab.until(lambda: "kind=" in tab.address())
-    moves = {"ArrowRight": [3.3, 4.3], "ArrowLeft": [3.2, 4.2], "-": [3.075, 4.325], "+": [3.2, 4.2]}
+    moves = {
+        "ArrowRight": [3.4, 4.4],
+        "ArrowLeft": [3.2, 4.2],
+        "-": [3.7 - 0.5 / 0.7, 3.7 + 0.5 / 0.7],
+        "+": [3.2, 4.2],
+    }
     for key, expected in moves.items():
         tab.page.keyboard.press(key)
         tab.until(partial(lambda ends: np.allclose(window(), ends, rtol=0, atol=1e-9), expected))
@@ -122,14 +127,14 @@ def test_in_dark_mode_all_is_dark_but_the_map_whose_colours_stay(running: Explor
             tab.page.wait_for_timeout(2000)
             left, top, width, height = map(round, tab.plot())
             shot = np.asarray(Image.open(BytesIO(tab.page.screenshot())).convert("RGB"))
-            beside = shot[top + height + 48, left - 60]  # below the labels of one axis, and left of the other's
-            assert np.array_equal(beside, shot[790, 1400]), "the plane stands in a block of another colour"
-            return shot[790, 1400], shot[top + height // 2, left + width // 2]
+            beside = shot[top + height + 42, left - 60]  # below the labels of one axis, and left of the other's
+            assert np.array_equal(beside, shot[797, 1115]), "the plane stands in a block of another colour"
+            return shot[797, 1115], shot[top + height // 2, left + width // 2]
         finally:
             context.close()
 
     (light, map_light), (dark, map_dark) = pixels("light"), pixels("dark")
-    assert light.tolist() == [255, 255, 255] and dark.tolist() == [0, 0, 0]
+    assert light.tolist() == [255, 255, 255] and dark.tolist() == [0x14, 0x18, 0x1F]
     assert map_light.tolist() == map_dark.tolist() != [255, 255, 255]
 
 

@@ -37,7 +37,8 @@ class Tab:
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
 
     def _hear(self, said: Any) -> None:
-        if said.type in ("error", "warning") and "GL Driver Message" not in said.text:  # a driver speaks of its speed
+        known = "GL Driver Message", "willReadFrequently"  # a driver speaks of its speed, and so of reading pixels here
+        if said.type in ("error", "warning") and not any(words in said.text for words in known):
             self.complaints.append(said.text)
 
     def _listen(self, socket: Any) -> None:

@@ -176,7 +176,7 @@ export function ticks(low, high, most, log) {
 /** Return how the ticks of an axis are written: each value as (value - base) / unit, and the label that says so. In a
  * window much narrower than its distance from zero, they count from a round number near its centre. */
 export function tickFormat({ label }, low, high) {
-  const span = high - low, centre = 0.5 * (low + high), power = Math.floor(Math.log10(span));
+  const span = Math.abs(high - low), centre = 0.5 * (low + high), power = Math.floor(Math.log10(span));
   if (!(span <= 1e-3 * Math.abs(centre))) return { base: 0, unit: 1, label };
   const base = power < 0 ? Number(centre.toFixed(-power)) : Math.round(centre / 10 ** power) * 10 ** power;
   return { base, unit: 10 ** power, label: `${label}: distance from ${String(base).replace("-", "−")} in ${number(10 ** power, 1)}` };
@@ -195,7 +195,7 @@ export function drawAxes(pen, scene, ink, faint) {
     const [first, last] = [low, high].map((end) => (end - base) / unit);
     pen.textAlign = along ? "right" : "center";
     pen.textBaseline = along ? "middle" : "top";
-    const values = axis.texts ? axis.texts.map((_, k) => k) : ticks(first, last, along ? plot.height / 60 : plot.width / 80, axis.log && !base);
+    const values = axis.texts ? axis.texts.map((_, k) => k) : ticks(first, last, Math.max(2, along ? plot.height / 60 : plot.width / 80), axis.log && !base);
     for (const value of values) {
       const at = place(scene, base + value * unit, along);
       pen.beginPath();

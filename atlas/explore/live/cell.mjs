@@ -4,7 +4,7 @@ import { by, copying, make } from "../front/elements.mjs";
 import { drawDiagram, rangeOf } from "./diagram.mjs";
 import { place } from "../front/plane.mjs";
 import { number, resultsOf } from "../front/words.mjs";
-import { menu, slider } from "./controls.mjs";
+import { menu } from "./controls.mjs";
 
 const SECONDS = 3; // duration of one forcing period on the screen
 const STABLE = "#3b7dc4", UNSTABLE = "#c25a6c", BLUE = "#4477aa", GREY = "#7a8696";

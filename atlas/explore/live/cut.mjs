@@ -33,7 +33,7 @@ export function cutPanel({ subject, state, axes, change, redraw, ask }) {
     const { shown: { x, y }, exponents } = cut, { largest, low, high } = exponents, span = rangeOf([...low, ...high, 0]);
     const across = (y) => marked.map((at) => ({ kind: "line", x: [at, at], y, color: POINTED, width: 1, dash: [2, 2] }));
     cut.scenes = [
-      drawDiagram(canvases[0], { x: { label: "", range: window }, y: { label: select.value, range: rangeOf(y) }, parts: [{ kind: "points", x, y }, ...across(rangeOf(y))] }),
+      drawDiagram(canvases[0], { x: { label: "", range: window, texts: [] }, y: { label: select.value, range: rangeOf(y) }, parts: [{ kind: "points", x, y }, ...across(rangeOf(y))] }),
       drawDiagram(canvases[1], { x: { label: cut.label, range: window }, y: { label: "exponent", range: span }, parts: [
         { kind: "line", x: window, y: [0, 0], color: "#9aa4b0", width: 1 }, { kind: "band", x: exponents.x, low, high, color: LINE },
         { kind: "line", x: exponents.x, y: largest, color: LINE }, ...across(span)] })];

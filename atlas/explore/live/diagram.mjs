@@ -60,7 +60,7 @@ const PARTS = {
  * plane.mjs. */
 export function drawDiagram(canvas, { x, y, parts }) {
   const { context, width, height } = fitted(canvas);
-  const axes = [x, y].map((axis) => ({ log: false, to: keep, from: keep, ...axis })), plot = { left: 64, top: 6, width: Math.max(1, width - 76), height: Math.max(1, height - 52) };
+  const axes = [x, y].map((axis) => ({ log: false, to: keep, from: keep, ...axis })), plot = { left: 64, top: 6, width: Math.max(1, width - 76), height: Math.max(1, height - (x.texts ? 14 : 52)) };
   const scene = { axes, window: [x.range, y.range], plot }, at = (value, along) => place(scene, value, along);
   drawAxes(context, scene, themed("--ink"), themed("--faint"));
   context.save();

@@ -7,7 +7,7 @@
 import { planeOn } from "../front/canvas.mjs";
 import { by, make } from "../front/elements.mjs";
 import { fillKey, updateKey } from "../front/key.mjs";
-import { changed, fillLook, linesOf, lookOf, mapName, queryOf, reader, shownAs } from "../front/look.mjs";
+import { changed, fillLook, linesOf, lookOf, mapName, reader, shownAs } from "../front/look.mjs";
 import { inflated } from "../front/numbers.mjs";
 import { cellWith, drawnAxis, place, scaleOf } from "../front/plane.mjs";
 import { number, sentence } from "../front/words.mjs";
@@ -183,7 +183,10 @@ const plane = planeOn(by("map"), {
     mark: isInPlane(state) ? state.cell.at.map((value) => [value, value]) : null, over }),
   move: (limits) => { const [x, y] = limits.map((pair, along) => pair.map(bare[along].from)); change({ x, y }); },
   whole: () => change({ x: subject.whole[0], y: subject.whole[1] }),
-  choose: (at) => request("cell", { at }).then(({ cell }) => change({ cell: { at: cell, parameters: state.parameters } })),
+  choose: (at) => request("cell", { at }).then(({ cell }) => {
+    change({ cell: { at: cell, parameters: state.parameters } });
+    if (matchMedia("(min-width: 1100px)").matches) by("cell").scrollIntoView();
+  }),
   point, escape: () => { state = escaped(state); refresh(); ask(); },
   resized: (width, height) => { size = [width, height]; ask(); },
   enlarged(labels) {
