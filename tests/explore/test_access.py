@@ -214,7 +214,8 @@ def test_everything_that_can_be_used_has_a_name(desk: Tab) -> None:
         + NAMED
         + """
         return [...document.querySelectorAll("button, select, input, img, [tabindex], [role]")]
-            .filter(each => !each.matches("[role=alert], [role=status]")).filter((each) => each.getBoundingClientRect().width && !name(each)).map((each) => each.outerHTML)
+            .filter((each) => !each.matches("[role=alert], [role=status]"))
+            .filter((each) => each.getBoundingClientRect().width && !name(each)).map((each) => each.outerHTML)
     }"""
     )
     assert unnamed == []

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -217,6 +218,12 @@ def test_other_axes_are_chosen_in_the_page_and_back_leads_to_those_before(tab: T
     tab.until(tab.image)
 
 
+def pointed(tab: Tab, canvas: str) -> bool:
+    """Whether a diagram of the cut marks the middle of the cut."""
+    _, _, width, _ = tab.plot("section states along")
+    return any(abs(x - 64 - width / 2) < 0.02 * width and count > 10 for x, count in tab.inked(canvas, "#c25a6c"))
+
+
 def test_a_cut_is_drawn_over_the_plane_and_shares_the_pointer_with_it(tab: Tab) -> None:
     left, top, width, height = tab.plot()
     tab.page.get_by_title("draw a cut").click()
@@ -230,14 +237,8 @@ def test_a_cut_is_drawn_over_the_plane_and_shares_the_pointer_with_it(tab: Tab) 
     assert abs(x0 - 3.4) < 0.02 and abs(x1 - 4.0) < 0.02 and abs(y0 - y1) < 0.01
     left, top, width, height = tab.plot()
     tab.page.mouse.move(left + 0.5 * width, top + 0.1 * height)
-    for name, label in (("first", "section"), ("last", "exponent")):
-        start, _, across, _ = tab.plot(label)
-
-        def pointed(name: str = name, middle: float = start - tab.plot("section")[0] + 64 + across / 2) -> bool:
-            columns = tab.inked(f"#cut canvas:{name}-of-type", "#c25a6c")
-            return any(abs(x - middle) < 0.02 * across and count > 10 for x, count in columns)
-
-        tab.until(pointed)
+    for name in ("first", "last"):
+        tab.until(partial(pointed, tab, f"#cut canvas:{name}-of-type"))
     tab.page.get_by_role("button", name="close the cut").click()
     tab.until(lambda: "cut=" not in tab.address())
 
