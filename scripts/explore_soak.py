@@ -101,7 +101,7 @@ class Visitor:
             self._links.append(self.tab.address())
             self._open(draw.choice(self._links[-LINKS:]))
         elif what < 0.1:
-            self._page.locator("select").first.select_option(draw.choice(KINDS))
+            self._page.locator("#look select").select_option(draw.choice(KINDS))
         elif what < 0.15:
             self._page.mouse.click(x, y)
         elif what < 0.17:

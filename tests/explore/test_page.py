@@ -233,6 +233,7 @@ def test_a_cut_is_drawn_over_the_plane_and_shares_the_pointer_with_it(tab: Tab) 
     tab.page.mouse.move(left + 0.8 * width, top + 0.5 * height, steps=4)
     tab.page.mouse.up()
     tab.until(lambda: "257 cells along the cut" in tab.text(), 120.0)
+    tab.until(lambda: "cut=" in tab.address())
     x0, y0, x1, y1 = (float(part) for part in arguments(tab)["cut"][0].split(b","))
     assert abs(x0 - 3.4) < 0.02 and abs(x1 - 4.0) < 0.02 and abs(y0 - y1) < 0.01
     left, top, width, height = tab.plot()

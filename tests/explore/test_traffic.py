@@ -80,7 +80,7 @@ def test_another_scale_needs_no_message(tab: Tab) -> None:
 
 
 def test_another_map_of_variables_that_the_page_holds_needs_no_message(running: ExplorerSession, tab: Tab) -> None:
-    select = tab.page.locator("select").first
+    select = tab.page.locator("#look select")
     select.select_option("combined")
     tab.until(lambda: "period 1" in tab.text())
     rested(running, tab)

@@ -7,7 +7,7 @@ const button = (textContent, onclick) => make("button", { type: "button", textCo
 
 /** Return a menu with a label; `options` are pairs of a value and a text, and `act` is called with the chosen value. */
 export function menu(label, options, value, act) {
-  const select = make("select", {}, ...options.map(([value, textContent]) => make("option", { value, textContent })));
+  const select = make("select", { ariaLabel: label }, ...options.map(([value, textContent]) => make("option", { value, textContent })));
   select.value = value;
   select.onchange = () => act(select.value);
   return make("label", { className: "menu" }, label, select);

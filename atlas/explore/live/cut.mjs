@@ -31,7 +31,7 @@ export function cutPanel({ subject, state, axes, change, redraw, ask }) {
     if (!cut || !state().cut) return;
     const marked = share === null ? [] : [on(cut.axis, share)];
     const { shown: { x, y }, exponents } = cut, { largest, low, high } = exponents, span = rangeOf([...low, ...high, 0]);
-    const across = (y) => marked.map((at) => ({ kind: "line", x: [at, at], y, color: POINTED, width: 1, dash: [2, 2] }));
+    const across = (y) => marked.map((at) => ({ kind: "line", x: [at, at], y, color: POINTED, width: 2, dash: [4, 4] }));
     cut.scenes = [
       drawDiagram(canvases[0], { x: { label: "", range: window, texts: [] }, y: { label: select.value, range: rangeOf(y) }, parts: [{ kind: "points", x, y }, ...across(rangeOf(y))] }),
       drawDiagram(canvases[1], { x: { label: cut.label, range: window }, y: { label: "exponent", range: span }, parts: [
