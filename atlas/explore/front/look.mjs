@@ -57,7 +57,7 @@ export function fillLook(element, { maps, overlays, logs }, look, change) {
       box.update = () => { box.checked = look().overlays.includes(name); };
       return make("label", {}, box, name);
     });
-    if (over.length) element.append(make("h4", { textContent: "overlays" }), ...over);
+    if (over.length) element.append(make("span", { className: "head", textContent: "overlays" }), ...over);
   }
   updateKey(element);
 }
