@@ -108,13 +108,13 @@ class AttractorsPanel(Panel[CellResult]):
         self.tell("attractors", **attractors_table(listing, self._subject))
         states = [attractor["state"] for attractor in listing.listed if "state" in attractor]
 
-        def portraits() -> Show:
+        def draw() -> Show:
             drawn = motions(self._subject, cell.parameters, states)
-            told = [{"y": m.y, "v": m.v, "color": PALETTE[k % len(PALETTE)]} for k, m in drawn.items()]
-            return lambda: self.tell("portraits", portraits=told) if told else None
+            portraits = [{"y": m.y, "v": m.v, "color": PALETTE[k % len(PALETTE)]} for k, m in drawn.items()]
+            return lambda: self.tell("portraits", portraits=portraits) if portraits else None
 
         if len(listing.listed) > 1:
-            self.run_in_background(portraits)
+            self.run_in_background(draw)
 
 
 def attractors_table(listing: AttractorListing, subject: Subject) -> dict[str, Any]:

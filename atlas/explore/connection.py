@@ -186,8 +186,8 @@ class PageConnection:
         values = subject.values(view.plane, *view.middle(subject))
         if layer is not None and turned.stack_axis is not None:
             values[turned.stack_axis.name] = layer
-        there = carry_over(turned, view, values, keep_window=axes is None)
-        query = f"{place_query(self._home.subject, turned, there)}&{style_query(there)}"
+        new_view = carry_over(turned, view, values, keep_window=axes is None)
+        query = f"{place_query(self._home.subject, turned, new_view)}&{style_query(new_view)}"
         return lambda: {"query": query}
 
     def _ask_save(self, view: ViewState, suffix: str) -> Work:
@@ -207,8 +207,8 @@ class PageConnection:
         (left, right), (low, high) = box or (view.x, view.y)
 
         def work() -> dict[str, Any]:
-            made = new_atlas(self._subject, view, (left, right), (low, high), max(2, cells), self._folder)
-            return {"file": str(made.file), "text": made.text, "line": made.line, "cost": made.cost}
+            new_spec = new_atlas(self._subject, view, (left, right), (low, high), max(2, cells), self._folder)
+            return {"file": str(new_spec.file), "text": new_spec.text, "line": new_spec.line, "cost": new_spec.cost}
 
         return work
 

@@ -62,7 +62,7 @@ class DetailsPanel(Panel[Point]):
             cell = self._explorer.known.solve_cell(plane, *point)
         soon(partial(self._show, cell))
         try:
-            return partial(self.tell, "motion", motion=motion_of(orbit_of(self._subject, cell)).told)
+            return partial(self.tell, "motion", motion=motion_of(orbit_of(self._subject, cell)).fields)
         except InputError as error:
             return partial(self.tell, "motion", reason=str(error))
 

@@ -119,7 +119,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
             caption=f"orbit followed, point {position.point_index + 1} of {len(branch.values)}",
             rows=orbit_table(branch, position, self._symbol(branch)),
             gap=motion.moving[0][:: int(motion.per_period)],
-            motion=motion.told,
+            motion=motion.fields,
             at=[values[name] for name in self._subject.axes] if inside else None,
             arrows=[
                 {"ends": arrow[:4]} | dict(zip(_LABEL, label_of(arrow, k, view.x), strict=True))

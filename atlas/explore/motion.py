@@ -39,7 +39,7 @@ class MotionPlotData:
     per_period: float
 
     @property
-    def told(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, Any]:
         """The plot data as fields of a message."""
         return vars(self)
 
