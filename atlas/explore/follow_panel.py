@@ -81,12 +81,12 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         branch, follow = self._branch, view.follow
         if branch is None or follow is None:
             raise InputError("no orbit is followed")
-        here = branch.position_at(branch.own_index + follow.step, follow.value)
-        index = None if value is None else branch.find_point(float(value), here)
+        position = branch.position_at(branch.own_index + follow.step, follow.value)
+        index = None if value is None else branch.find_point(float(value), position)
         if value is None or index is None:
             symbol, low, high = self._symbol(branch), number(min(branch.values)), number(max(branch.values))
-            found = "none" if value is None else number(float(value))
-            raise InputError(f"{symbol}: found {found}, must be {low} to {high} on this branch")
+            value_text = "none" if value is None else number(float(value))
+            raise InputError(f"{symbol}: found {value_text}, must be {low} to {high} on this branch")
         return follow._replace(step=index - branch.own_index, value=float(value))
 
     def _symbol(self, branch: FollowedBranch) -> str:

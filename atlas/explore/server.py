@@ -232,7 +232,7 @@ class _Socket(_Guarded, WebSocketHandler):
     def _send(self, message: str | bytes) -> None:
         with suppress(WebSocketClosedError):
             sent = self.write_message(message, binary=isinstance(message, bytes))
-            sent.add_done_callback(lambda done: done.exception())  # a page that has just been left hears no more
+            sent.add_done_callback(lambda future: future.exception())  # a page that has just been left hears no more
 
     def on_message(self, message: str | bytes) -> None:
         if self.connection is not None:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
-from urllib.parse import parse_qsl, urlencode
+from urllib.parse import urlencode
 
 from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
@@ -255,9 +255,9 @@ def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
     points = {"cut": view.cut, "cell": view.cell and view.cell[1:]}
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
     if view.cell:
-        here = dict(view.plane.parameters)
+        values = dict(view.plane.parameters)
         pairs += [
-            (f"{CELL_PLANE}{name}", repr(value)) for name, value in view.cell[0].parameters if value != here[name]
+            (f"{CELL_PLANE}{name}", repr(value)) for name, value in view.cell[0].parameters if value != values[name]
         ]
         pairs += [("follow.orbit", view.follow.text)] if view.follow else []
     return "&".join(filter(None, [base_query(home, subject), urlencode(pairs, safe=":,")]))
@@ -282,17 +282,6 @@ def style_query(view: ViewState) -> str:
     pairs += [(name, ",".join(listed)) for name, listed in lists.items() if listed]
     pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(view, name)) is not None]
     return urlencode(pairs, safe=":,")
-
-
-def apply_style_query(subject: Subject, view: ViewState, query: str) -> ViewState:
-    """Return a view in the style that a query of ``style_query`` gives.
-
-    Raise InputError, naming the argument, for an impossible style.
-    """
-    plain = replace(view, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
-    for name, value in parse_qsl(query):
-        plain = replace(plain, **_fields(subject, plain, name, value))
-    return plain
 
 
 def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[str, Any]:

@@ -3,17 +3,24 @@
 import json
 import zlib
 from typing import Any
+from urllib.parse import parse_qs
 
 import numpy as np
 
 from atlas.explore.front.numbers import PackedArray, unpack
 from atlas.explore.subject import Subject
-from atlas.explore.view_state import ViewState, place_query, style_query
+from atlas.explore.view_state import ViewState, from_address, place_query, style_query
 
 
 def to_address(home: Subject, subject: Subject, chosen: ViewState) -> str:
     """The query of an address that asks for a choice."""
     return f"{place_query(home, subject, chosen)}&{style_query(chosen)}"
+
+
+def styled(subject: Subject, chosen: ViewState, query: str) -> ViewState:
+    """A view in the style that a query gives."""
+    address = parse_qs(f"{place_query(subject, subject, chosen)}&{query}")
+    return from_address(subject, {name: [text.encode() for text in texts] for name, texts in address.items()})
 
 
 def opened(message: np.ndarray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

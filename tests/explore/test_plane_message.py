@@ -12,7 +12,7 @@ import pytest
 from atlas.explore.compose import VisibleCells, compose_view
 from atlas.explore.plane_message import ends_of, maps_of, message
 from atlas.explore.subject import Subject, exploration_settings, subject_of
-from atlas.explore.view_state import ViewState, apply_style_query, initial_view, style_query
+from atlas.explore.view_state import ViewState, initial_view, style_query
 from atlas.explore.viewport import TILE_CELLS, Viewport
 from atlas.orbits.curves.table import write_curves
 from atlas.query.plane import Plane
@@ -23,7 +23,7 @@ from atlas.render.painters import PAINTERS
 from atlas.render.request import PictureRequest
 from atlas.spec.spec import Spec
 from atlas.store.store import open_store
-from tests.explore.messages import opened
+from tests.explore.messages import opened, styled
 from tests.explore.modules import run
 from tests.pictures import curves
 from workers.results import CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, REGIME
@@ -89,7 +89,7 @@ def queries() -> Iterator[tuple[str, tuple[float, float] | None]]:
 def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sent(
     subject: Subject, browser: Any, query: str, ends: tuple[float, float] | None
 ) -> None:
-    chosen = apply_style_query(subject, view_of(subject), query)
+    chosen = styled(subject, view_of(subject), query)
     about, arrays, _, seen = sent(subject, chosen, others=False)
     (made,) = about["maps"]
     own = {name: arrays[name].ravel().tolist() for name in made["needs"]}
@@ -120,13 +120,10 @@ def test_numbers_have_four_digits_on_the_page_and_the_regime_is_exact(subject: S
 
 
 def test_a_view_that_is_known_comes_with_every_map_of_its_variables(subject: Subject) -> None:
-    names = [
-        entry["name"]
-        for entry in sent(subject, apply_style_query(subject, view_of(subject), "kind=combined"))[0]["maps"]
-    ]
+    names = [entry["name"] for entry in sent(subject, styled(subject, view_of(subject), "kind=combined"))[0]["maps"]]
     assert names[0] == "combined"
     assert {*names} == {"combined", "exponent", "period", "number-largest", "number-period", "number-period-log"}
-    alone = sent(subject, apply_style_query(subject, view_of(subject), "kind=combined"), others=False)[0]
+    alone = sent(subject, styled(subject, view_of(subject), "kind=combined"), others=False)[0]
     assert [entry["name"] for entry in alone["maps"]] == ["combined"]
 
 
@@ -175,15 +172,14 @@ def test_a_name_fits_into_a_region_as_wide_as_it_is_drawn_on_a_logarithmic_axis_
 def test_a_map_without_such_numbers_is_refused_as_a_whole(subject: Subject) -> None:
     from atlas.errors import InputError
 
-    chosen = apply_style_query(subject, view_of(subject), "kind=scalar&variable=largest&log=1")
+    chosen = styled(subject, view_of(subject), "kind=scalar&variable=largest&log=1")
     with pytest.raises(InputError, match="values below zero, which a logarithmic scale cannot show"):
         sent(subject, chosen)
 
 
 def test_a_look_comes_back_from_its_query(subject: Subject) -> None:
     given = "kind=scalar&variable=largest&log=1&overlay=grazing,curves&without=fold&vmin=0.25&vmax=2.0"
-    assert style_query(apply_style_query(subject, view_of(subject), given)) == given
-    assert apply_style_query(subject, apply_style_query(subject, view_of(subject), given), "kind=period").overlays == ()
+    assert style_query(styled(subject, view_of(subject), given)) == given
 
 
 def test_the_cells_of_a_view_say_where_they_are(subject: Subject) -> None:

@@ -61,14 +61,14 @@ def described(home: Subject, subject: Subject, view: ViewState, trouble: str = "
     ds = dataset(subject, subject.plane, points[0], points[1], subject.without_results(names, (2, 2)))
     variables = {name: variable(ds, name) for name in names}
     maps = [(kind, kind) for kind in kinds(subject) if kind != SCALAR]
-    system, whole = subject.system, initial_view(subject)
+    system, initial = subject.system, initial_view(subject)
     coordinates = [mathtext_to_unicode(system.parameter(n).symbol or n) for n in system.definition.coordinates]
     return meanings() | {
         "name": subject.name,
         "trouble": trouble,
         "names": subject.axes,
         "axes": [_axis(subject, lattice.axis.name, lattice.log) for lattice in (subject.x, subject.y)],
-        "whole": (whole.x, whole.y),
+        "whole": (initial.x, initial.y),
         "plane": dict(subject.plane.parameters),
         "parameters": [_parameter(subject, name, value) for name, value in view.plane.parameters],
         "options": [_option(p) for p in system.parameters],
