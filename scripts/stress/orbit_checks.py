@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scripts.stress.findings import RandomCell, StressFindings
 from scripts.stress.result_checks import POSITION
 from tests.support.oracle import dense_violation, simulate
-from tests.support.oracle.model import machine_of, model
+from tests.support.oracle.model import fastest_rate, machine_of
 from tests.support.oracle.simulate import first_hit
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import FLIGHT, LOWER, RECORDED, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
@@ -159,7 +159,7 @@ def _stuck_until(osc: Oscillator, section: Motion, t: float) -> float:
 
 
 def _recheck_flights(findings: StressFindings, cell: RandomCell, osc: Oscillator, start: Array) -> None:
-    rate = float(model(cell.machine).free.rate)
+    rate = fastest_rate(cell.machine)
     g, n = np.array(cell.gap), len(cell.gap)
     for flight in _flights(findings, cell, osc, start):
         reach = min(flight.duration, FAST_CYCLES * 2.0 * math.pi / rate)
@@ -181,7 +181,7 @@ def _recheck_flights(findings: StressFindings, cell: RandomCell, osc: Oscillator
 
 def _recheck_orbit(findings: StressFindings, cell: RandomCell, osc: Oscillator, start: Array) -> None:
     """Compare section states; deviations in units of eps, state size and the largest norm of a partial Jacobian."""
-    rate = max(float(model(cell.machine).free.rate), float(np.sqrt(np.max(osc.gap.lam))))
+    rate = max(fastest_rate(cell.machine), float(np.sqrt(np.max(osc.gap.lam))))
     affordable = ORBIT_COST * min(1.0, (2.0 / len(cell.gap)) ** 2)
     periods = min(ORBIT_PERIODS, int(affordable / (rate * osc.period)))
     weights = np.column_stack([np.sqrt(osc.gap.metric), np.ones(len(osc.gap.metric))])

@@ -14,12 +14,11 @@ from tests.paths import DATA
 from tests.support.oracle import (
     OracleMachine,
     dense_violation,
-    first_impact_dense,
     section_jacobian,
     simulate,
     two_mass,
 )
-from tests.support.oracle.machines import DAMPINGS, chain, random_machine, rigid_mode
+from tests.support.oracle.machines import DAMPINGS, random_machine, rigid_mode
 from tests.support.oracle.simulate import first_hit
 
 pytestmark = pytest.mark.slow
@@ -196,17 +195,6 @@ def test_two_free_masses_collide_head_on_as_in_the_textbook() -> None:
         assert distance(run.sections[1], [*exact, *velocities]) < 1e-37
 
 
-def test_unequal_stops_and_a_missing_one_are_where_they_were_put() -> None:
-    machine = chain(3, omega=0.9, upper=0.3)
-    both = replace(machine, lower=-0.1, R=0.7)
-    for cell in (machine, both):
-        run = simulate(cell, 8, digits=30)
-        assert {impact.side for impact in run.impacts} == ({1} if cell is machine else {1, -1})
-        sections = floats([[float(value) for value in state] for state in run.sections])
-        assert sections[:, 2].max() <= 0.3
-        assert cell is machine or sections[:, 2].min() >= -0.1
-
-
 # Random machines
 
 
@@ -244,23 +232,15 @@ def test_random_machines_hit_stops_and_some_of_them_rest() -> None:
 
 @pytest.mark.parametrize("one_sided", [False, True], ids=["two stops", "one stop"])
 @pytest.mark.parametrize("n", [1, 3, 8])
-def test_dense_sampling_finds_the_multiprecision_impacts_of_any_machine(n: int, one_sided: bool) -> None:
+def test_dense_violation_is_zero_up_to_the_first_impact_of_any_machine_and_not_beyond(n: int, one_sided: bool) -> None:
     machine = drawn(4, n, one_sided=one_sided)
     rng = np.random.default_rng(n)
     T = 2 * math.pi / machine.omega
-    states = np.array([random_state(rng, machine) for _ in range(10)])
-    starts = rng.uniform(0, T, 10)
-    dense = first_impact_dense(machine, states, starts, T)
-    for k, (state, start) in enumerate(zip(states, starts, strict=True)):
-        exact = first_hit(machine, state.tolist(), start, T)
-        assert dense.side[k] == (exact.side if exact else 0)
-        if exact:
-            assert dense.time[k] == pytest.approx(float(exact.t), abs=1e-11)
-            assert dense.speed[k] == pytest.approx(float(exact.speed), abs=1e-11)
-    flown_to = np.where(dense.side != 0, dense.time, T)
-    assert dense_violation(machine, states, starts, flown_to).max() < 1e-12
-    missed = dense_violation(machine, states, starts, np.full(10, 2 * T))
-    assert np.all(missed[dense.side != 0] > 1e-12)
+    for start in rng.uniform(0, T, 10):
+        state = random_state(rng, machine)
+        hit = first_hit(machine, state.tolist(), start, T)
+        assert dense_violation(machine, state, start, float(hit.t) if hit else T)[0] < 1e-12
+        assert hit is None or dense_violation(machine, state, start, 2 * T)[0] > 1e-12
 
 
 def random_state(rng: np.random.Generator, machine: OracleMachine) -> np.ndarray:

@@ -16,7 +16,7 @@ from tests.support.oracle.piecewise import (
     orbit,
     simulate,
 )
-from tests.support.oracle.piecewise.reference_orbits import oscillator, soft
+from tests.support.oracle.piecewise.one_mass import oscillator, soft
 
 
 @pytest.mark.parametrize("R", [0.0, 0.5])

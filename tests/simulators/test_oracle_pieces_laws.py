@@ -18,8 +18,8 @@ from tests.support.oracle.piecewise import (
     monodromy,
     simulate,
 )
+from tests.support.oracle.piecewise.one_mass import oscillator
 from tests.support.oracle.piecewise.random_machines import random_machine, random_state
-from tests.support.oracle.piecewise.reference_orbits import oscillator
 
 AT_REST = 1e-11
 SHORTEST = 1e-5  # legs of a chatter below this are not looked into

@@ -25,6 +25,11 @@ PARAMETERS: dict[str, Any] = {
     for name, value in {"k": 1.5, "A": 1.0, "p": 0.0, "s": 0.25, "q": 0.1, "omega": 0.9}.items()
 }
 
+MEASURED = {
+    "place": {"displacement": [1.0, 0.0], "report": ["mean", "rms", "peak"]},
+    "damper": {"velocity": [1.0, -1.0], "weight": 0.1, "report": ["power"]},
+}
+
 OWN: dict[str, tuple[dict[str, Any], dict[str, list[float]]]] = {
     "a row of friction that is that of a contact in some": (
         {"contacts": [{"name": "stop", "gap": [1.0, 0.0], "upper": 0.4, "restitution": 0.6}],
@@ -44,6 +49,18 @@ OWN: dict[str, tuple[dict[str, Any], dict[str, list[float]]]] = {
     "friction that falls with speed in some": (
         {"friction": [{"name": "rub", "row": [1.0, 0.0], "kinetic": 0.3, "slope": "q"}]},
         {"q": [0.1, -0.05, 0.0, -0.3, 0.4, -0.01]},
+    ),
+    "measures of a rigid contact": (
+        {"gap": [1.0, 0.0], "upper": 0.4, "restitution": 0.6, "measures": MEASURED},
+        {"omega": [0.7, 1.03, 1.9, 0.9, 1.3, 2.5]},
+    ),
+    "a chatter, a preload, friction and a load that is switched, measured": (
+        {"contacts": [{"name": "stop", "gap": [1.0, 0.0], "upper": 0.4, "restitution": 0.6},
+                      {"name": "pad", "gap": [-1.0, 1.0], "lower": -0.3, "stiffness": 20.0, "damping": 0.1,
+                       "preload": 0.05, "release": "force"}],
+         "friction": [{"name": "rub", "row": [0.0, 1.0], "kinetic": 0.2, "static": 0.3}],
+         "phases": [{"start": 0.0}, {"start": 0.4, "load": ["q", -0.1]}], "measures": MEASURED},
+        {"omega": [0.6, 0.9, 1.2, 1.5, 1.8, 2.2]},
     ),
     "phases of other loads": (
         {"contacts": [{"name": "stop", "gap": [1.0, 0.0], "lower": 0.0, "restitution": 0.5}],

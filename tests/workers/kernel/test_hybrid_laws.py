@@ -40,30 +40,6 @@ def solved(machines: list[PiecewiseMachine], states: list[list[float]], settings
 # Neighbours
 
 
-def rubbed(omega: float) -> PiecewiseMachine:
-    """Two masses: friction on one of them, a soft and a rigid stop, a load that is switched."""
-    return PiecewiseMachine(
-        [[1.0, 0.0], [0.0, 2.0]], [[0.2, -0.1], [-0.1, 0.1]], [[2.0, -1.0], [-1.0, 1.5]], [0.0, 0.2], omega,
-        (HarmonicForce(1, [0.0, 1.0], [0.5, 0.0]),),
-        (PiecewiseContact([1.0, 0.0], 0.4, None, restitution=0.6), PiecewiseContact([-1.0, 1.0], None, -0.3,
-        stiffness=20.0, damping=0.1,
-                                                                    preload=0.05, release="force")),
-        (PiecewiseFriction([0.0, 1.0], 0.2, 0.3),), (PiecewisePhase(0.0), PiecewisePhase(0.4, load=[0.1, -0.1])),
-    )  # fmt: skip
-
-
-def test_a_cell_does_not_depend_on_the_cells_beside_it() -> None:
-    machines = [rubbed(omega) for omega in np.linspace(0.6, 2.2, 12).tolist()]
-    states = [[0.0, 0.1 * k, 0.0, 0.3] for k in range(len(machines))]
-    together, backward = solved(machines, states), solved(machines[::-1], states[::-1])
-    for name, values in together.items():
-        np.testing.assert_array_equal(backward[name][::-1], values, err_msg=name)
-    for i in (0, 5, 11):
-        alone = solved([machines[i]], [states[i]])
-        for name, values in together.items():
-            np.testing.assert_array_equal(alone[name][0], values[i], err_msg=name)
-
-
 # Tables
 
 

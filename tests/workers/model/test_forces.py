@@ -19,10 +19,10 @@ from atlas.spec.equation import equation_of
 from tests.support.oracle import OracleMachine, simulate
 from tests.support.oracle.machines import random_machine
 from tests.support.oracle.piecewise import HarmonicForce
-from tests.support.oracle.piecewise import PiecewiseMachine as Pieces
 from tests.support.oracle.piecewise.random_machines import random_machine as pieces_at_random
 from tests.workers.cell.test_family import assert_jacobians_agree, solver_jacobian, solver_sections
-from tests.workers.kernel.test_hybrid_random import SENSITIVE, assert_few_stop, compare
+from tests.workers.kernel.test_hybrid_random import SENSITIVE, Drawn, assert_few_stop, compare
+from tests.workers.kernel.test_hybrid_random import drawn as pieces_of
 from workers import Settings, System, solve_tile
 from workers.attractors.initial_states import REACH, AttractorSettings, boxes
 from workers.model.entries import DefinitionError
@@ -283,7 +283,7 @@ def test_jacobians_of_machines_of_high_orders_are_those_of_simulated_orbits() ->
         assert_jacobians_agree(orbit)
 
 
-def of_many_modes(seed: int) -> Pieces:
+def of_many_modes(seed: int) -> Drawn:
     """A machine with soft and rigid contacts, friction and phases, with forces of high orders."""
     rng = np.random.default_rng([53, seed])
     made = pieces_at_random(seed, switched_elements=seed % 2 == 1)
@@ -292,7 +292,7 @@ def of_many_modes(seed: int) -> Pieces:
     forces = (
         HarmonicForce(k + 1, *(part * (k + 1) * made.omega).tolist()) for k, part in zip(orders, parts, strict=True)
     )
-    return replace(made, forces=tuple(forces))
+    return pieces_of(seed, replace(made, forces=tuple(forces)))
 
 
 def test_machines_of_many_modes_and_high_orders_go_where_the_oracle_takes_them() -> None:
