@@ -427,67 +427,35 @@ def with_law(kind: str, law: Any, **more: Any) -> dict[str, Any]:
     return ONE_MASS | {"name": "wrong", "stiffness": [[1.0]], kind: [elements[kind] | {"law": law} | more]}
 
 
-@pytest.mark.parametrize(
-    ("definition", "line"),
-    [
-        (with_law("contacts", [[0, 0]]), "system.contacts[0].law: found '1 rows', must be 2 to 65 rows [d, force]"),
-        (
-            with_law("springs", [[0, 0, 1], [1, 1]]),
-            "system.springs[0].law[0]: found 3 numbers, must be 2, y and the force",
-        ),
-        (
-            with_law("springs", [[0, 0], [0, 1]]),
-            "system.springs[0].law: found y 0 after 0 at the defaults, must increase",
-        ),
-        (with_law("contacts", [[0.1, 0], [1, 1]]), "system.contacts[0].law: found depth 0.1 in the first row"),
-        (
-            with_law("contacts", [[0, 1], [1, 0.5]]),
-            "system.contacts[0].law: found a fall from 1 to 0.5 at the defaults",
-        ),
-        (
-            with_law("contacts", [[0, -1], [1, 0.5]]),
-            "system.contacts[0].law: found force -1 at the defaults, must be 0",
-        ),
-        (
-            with_law("friction", [[0, 1], [1, 0.5]]),
-            "system.friction[0].law: falls without end from |v| 0 on at the defaults",
-        ),
-        (
-            with_law("friction", [[0, 1], [1, -1], [2, 3]]),
-            "system.friction[0].law: found force -1 at the defaults, must",
-        ),
-        (
-            with_law("contacts", [[0, 0], [1, 1]], stiffness=1),
-            "system.contacts[0]: found law and stiffness; the law replaces",
-        ),
-        (
-            with_law("friction", [[0, 1], [1, 1]], kinetic=1),
-            "system.friction[0]: found law and kinetic; the law replaces",
-        ),
-        (with_law("friction", [[0, 1], [1, 1]], static=0.5), "system.friction[0].static: found 0.5, kinetic 1 at the"),
-        (with_law("contacts", "d"), "system.contacts[0]: within missing; a law that is an expression needs its"),
-        (with_law("contacts", "d", within=0.1), "system.contacts[0]: range missing; a law that is an expression"),
-        (
-            with_law("contacts", [[0, 0], [1, 1]], within=0.1),
-            "system.contacts[0].within: found beside a table, which is",
-        ),
-        (
-            with_law("contacts", "d", within=0, range=1),
-            "system.contacts[0].law: found no bound or value at the defaults",
-        ),
-        (with_law("springs", "sqrt(y)", within=0.1, range=1), "system.springs[0].law: found no bound or value at the"),
-        (
-            with_law("contacts", "d**2", within=1e-7, range=1),
-            " segments at the defaults, must be at most 64; give within = 3.4e-05",
-        ),
-        (with_law("contacts", "1 - d", within=0.1, range=1), "system.contacts[0].law: found a fall from 1 to"),
-        (
-            with_law("contacts", "d", within=0.1, range=1) | {"parameters": {"d": 1.0}},
-            "system.contacts[0].law: d is the argument of the law and a parameter; rename the parameter",
-        ),
-        (with_law("springs", [[0, 0], [1, "k"]]), "system.springs[0].law[1][1]: unknown name 'k'"),
-    ],
-)
+NO_LAWS = [
+    (with_law("contacts", [[0, 0]]), "system.contacts[0].law: found '1 rows', must be 2 to 65 rows [d, force]"),
+    (with_law("springs", [[0, 0, 1], [1, 1]]), "system.springs[0].law[0]: found 3 numbers, must be 2, y and the force"),
+    (with_law("springs", [[0, 0], [0, 1]]), "system.springs[0].law: found y 0 after 0 at the defaults, must increase"),
+    (with_law("contacts", [[0.1, 0], [1, 1]]), "system.contacts[0].law: found depth 0.1 in the first row"),
+    (with_law("contacts", [[0, 1], [1, 0.5]]), "system.contacts[0].law: found a fall from 1 to 0.5 at the defaults"),
+    (with_law("contacts", [[0, -1], [1, 0.5]]), "system.contacts[0].law: found force -1 at the defaults, must be 0"),
+    (with_law("friction", [[0, 1], [1, 0.5]]),
+     "system.friction[0].law: falls without end from |v| 0 on at the defaults"),
+    (with_law("friction", [[0, 1], [1, -1], [2, 3]]), "system.friction[0].law: found force -1 at the defaults, must"),
+    (with_law("contacts", [[0, 0], [1, 1]], stiffness=1),
+     "system.contacts[0]: found law and stiffness; the law replaces"),
+    (with_law("friction", [[0, 1], [1, 1]], kinetic=1), "system.friction[0]: found law and kinetic; the law replaces"),
+    (with_law("friction", [[0, 1], [1, 1]], static=0.5), "system.friction[0].static: found 0.5, kinetic 1 at the"),
+    (with_law("contacts", "d"), "system.contacts[0]: within missing; a law that is an expression needs its"),
+    (with_law("contacts", "d", within=0.1), "system.contacts[0]: range missing; a law that is an expression"),
+    (with_law("contacts", [[0, 0], [1, 1]], within=0.1), "system.contacts[0].within: found beside a table, which is"),
+    (with_law("contacts", "d", within=0, range=1), "system.contacts[0].law: found no bound or value at the defaults"),
+    (with_law("springs", "sqrt(y)", within=0.1, range=1), "system.springs[0].law: found no bound or value at the"),
+    (with_law("contacts", "d**2", within=1e-7, range=1),
+     " segments at the defaults, must be at most 64; give within = 3.4e-05"),
+    (with_law("contacts", "1 - d", within=0.1, range=1), "system.contacts[0].law: found a fall from 1 to"),
+    (with_law("contacts", "d", within=0.1, range=1) | {"parameters": {"d": 1.0}},
+     "system.contacts[0].law: d is the argument of the law and a parameter; rename the parameter"),
+    (with_law("springs", [[0, 0], [1, "k"]]), "system.springs[0].law[1][1]: unknown name 'k'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("definition", "line"), NO_LAWS, ids=[line for _, line in NO_LAWS])
 def test_a_law_that_is_none_gets_one_line(definition: dict[str, Any], line: str) -> None:
     with pytest.raises(DefinitionError) as caught:
         System.from_mapping(definition)

@@ -20,7 +20,7 @@ def measures(
 
     ``contact_fraction`` (a contact) and ``stick_fraction`` (a friction element); ``rms`` (n,) of x;
     ``max_penetration`` and ``max_force`` over all soft contacts; ``stop_loss``, ``friction_loss`` and ``damper_loss``
-    per period; ``progress`` (n,) of x per period.
+    per period, and the ``work`` of forces and load; ``progress`` (n,) of x per period, its ``low`` and ``high`` ends.
     """
     with mp.workdps(digits):
         meter = _Meter(machine)
@@ -33,6 +33,7 @@ class _Meter:
         self.machine = machine
         self.sums: dict[Any, Number] = defaultdict(lambda: mp.zero)
         self.most: dict[str, Number] = defaultdict(lambda: mp.zero)
+        self.ends: dict[tuple[int, int], Number] = defaultdict(lambda: -mp.inf)
 
     def leg(
         self, laws: ModeLaws, mode: PiecewiseMode, law: ModeLaw, series: TaylorSeries, u: Number, step: Number
@@ -48,6 +49,13 @@ class _Meter:
         for i in range(n):
             x = along({i: mp.one})
             self.sums["square", i] += step * _integral(x, x, u)
+            for side in (1, -1):
+                self.ends[i, side] = max(self.ends[i, side], _maximum([side * a for a in x], u))
+            applied: Row = {laws.size - 1: mp.mpf(machine.load[i])}
+            for force in machine.forces:
+                at = 2 * n + 2 * laws.orders.index(force.order)
+                applied |= {at: mp.mpf(force.sin[i]), at + 1: mp.mpf(force.cos[i])}
+            self.sums["work"] += step * _integral(along(applied), velocities[i], u)
         for i, row in enumerate(machine.damping):
             for j, entry in enumerate(row):
                 if entry:
@@ -91,6 +99,9 @@ class _Meter:
             "stop_loss": float(sums["stop"] / periods),
             "friction_loss": float(sums["friction"] / periods),
             "damper_loss": float(sums["damper"] / periods),
+            "work": float(sums["work"] / periods),
+            "low": [-float(self.ends[i, -1]) for i in range(machine.n)],
+            "high": [float(self.ends[i, 1]) for i in range(machine.n)],
             "progress": [float((end[i] - start[i]) / periods) for i in range(machine.n)],
         }
 
