@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from tests.support.oracle import dense_violation, section_jacobian, simulate, symmetric_orbit
+from tests.support.oracle import dense_violation, simulate, symmetric_orbit
 from tests.support.oracle.crossing import first_upward_zero
 from tests.support.oracle.simulate import first_hit
 
@@ -48,53 +48,10 @@ def test_closed_form_of_fig_3_has_the_published_exponents() -> None:
     assert [float(value) for value in stable[0].exponents] == pytest.approx(published, abs=1e-14)
 
 
-def test_simulation_of_fig_3_stays_on_the_closed_form_orbit() -> None:
-    """The phase is chosen so that the section falls just after the upper impact."""
-    orbit = symmetric_orbit(FIG3)[0]
-    with mp.workdps(40):
-        start = {
-            **FIG3,
-            "tau": mp.mpf(FIG3["tau"]) + FIG3["omega"] * orbit.time,
-            **dict(zip(("x1", "x2", "v1", "v2"), orbit.after, strict=True)),
-        }
-        run = simulate(start, 3)
-        # The sixth impact falls on the last section itself: rounding decides on which side of it.
-        half = mp.pi / FIG3["omega"]
-        for index, impact in enumerate(run.impacts[:5]):
-            assert abs(impact.t - (index + 1) * half) < 1e-33
-            assert impact.side == (-1 if index % 2 == 0 else 1)
-            assert abs(impact.speed - orbit.before[2]) < 1e-33
-
-
-def test_jacobian_of_fig_3_has_the_closed_form_multipliers() -> None:
-    orbit = symmetric_orbit(FIG3)[0]
-    with mp.workdps(40):
-        far = simulate(FIG3, 90, digits=30).sections[-1]
-        here = {**FIG3, **dict(zip(("x1", "x2", "v1", "v2"), far, strict=True))}
-        multipliers = mp.eig(mp.matrix(section_jacobian(here, 1)), left=False, right=False)
-        logs = sorted((mp.log(abs(value)) for value in multipliers), reverse=True)
-        assert max(abs(a - b) for a, b in zip(logs, orbit.exponents, strict=True)) < 1e-8
-
-
 @pytest.mark.slow
 def test_sticking_orbit_does_not_depend_on_when_chatter_is_cut_short() -> None:
     coarse, fine = (simulate(STICKING, 6, rest=rest).sections[-1] for rest in (1e-7, 1e-12))
     assert max(abs(a - b) for a, b in zip(coarse, fine, strict=True)) < 1e-19
-
-
-@pytest.mark.slow
-def test_sticking_orbit_has_the_known_multipliers() -> None:
-    """From independent 40-digit work: -0.0786795 +- 0.3589800i and two that are lost."""
-    start = {
-        **STICKING,
-        **dict(zip(("x1", "x2", "v1", "v2"), simulate(STICKING, 20, digits=30).sections[-1], strict=True)),
-    }
-    with mp.workdps(40):
-        multipliers = sorted(mp.eig(mp.matrix(section_jacobian(start, 1)), left=False, right=False), key=abs)
-        assert max(abs(value) for value in multipliers[:2]) < 1e-9
-        for value in multipliers[2:]:
-            assert abs(complex(value).real + 0.0786795) < 5e-8
-            assert abs(abs(complex(value).imag) - 0.3589800) < 5e-8
 
 
 def test_stuck_mass_stays_on_its_stop_and_leaves_when_the_acceleration_turns() -> None:

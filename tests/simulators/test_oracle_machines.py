@@ -14,7 +14,6 @@ from tests.paths import DATA
 from tests.support.oracle import (
     OracleMachine,
     dense_violation,
-    section_jacobian,
     simulate,
     two_mass,
 )
@@ -140,24 +139,6 @@ def test_one_impact_turns_the_gap_velocity_and_kicks_along_the_gap_row_only(n: i
 
 
 # Laws
-
-
-@pytest.mark.parametrize("damping", DAMPINGS)
-@pytest.mark.parametrize("n", [1, 3])
-def test_the_determinant_of_a_machines_jacobian_obeys_the_sum_law(n: int, damping: str) -> None:
-    """ln |det| = -trace(M^-1 C) T + 2 ln R per impact."""
-    seed = next(
-        seed for seed in range(10, 100)
-        if 0 < len((run := simulate(drawn(seed, n, damping=damping, R=0.6), 1, digits=25)).impacts) < 10
-        and not run.stuck
-    )  # fmt: skip
-    machine = drawn(seed, n, damping=damping, R=0.6)
-    impacts = len(simulate(machine, 1).impacts)
-    with mp.workdps(50):
-        M, C = (mp.matrix([list(map(mp.mpf, row)) for row in rows]) for rows in (machine.mass, machine.damping))
-        trace = sum((mp.inverse(M) * C)[i, i] for i in range(n))
-        law = -trace * 2 * mp.pi / mp.mpf(machine.omega) + 2 * impacts * mp.log(mp.mpf(0.6))
-        assert abs(mp.log(abs(mp.det(mp.matrix(section_jacobian(machine, 1))))) - law) < 1e-20
 
 
 @pytest.mark.parametrize("rigid", [False, True], ids=["", "rigid"])

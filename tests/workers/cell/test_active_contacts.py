@@ -73,7 +73,7 @@ def test_a_cycle_between_negative_and_positive_damping_is_that_of_the_oracle() -
     solved = solve_tile(piecewise, {}, SPECTRUM)
     assert solved["regime"] == PERIODIC and solved["spectrum"][0] == 0.0 > solved["spectrum"][1]
     beyond = PiecewiseContact([1.0], 1.0, -1.0, stiffness=0.0, damping=1.3)
-    after = simulate(oscillator(1.0, damping=-0.3, contact=beyond), solved["state"], span=solved["cycle_period"])
+    after = simulate(oscillator(1.0, damping=-0.3, contact=beyond), solved["state"], span=float(solved["cycle_period"]))
     assert [float(z) for z in after.sections[-1]] == pytest.approx(solved["state"].tolist(), abs=1e-10)
 
 

@@ -314,19 +314,6 @@ def same(one: np.ndarray, other: np.ndarray) -> bool:
     return one.dtype == other.dtype and one.tobytes() == other.tobytes()
 
 
-@pytest.mark.parametrize("stop", [{"restitution": 0.8}, {"stiffness": 9.0}], ids=["rigid", "soft"])
-def test_a_machine_without_mass_is_invalid_and_changes_no_other(stop: dict[str, float]) -> None:
-    system = {
-        "name": "own", "coordinates": ["x"], "mass": [["m"]], "damping": [[0.1]], "stiffness": [[1.0]], "force": [1.0],
-        "contacts": [{"name": "stop", "gap": [1.0], "upper": 0.3, **stop}],
-        "parameters": {"omega": {"default": 0.9}, "m": {"default": 1.0}},
-    }  # fmt: skip
-    settings = Settings(max_periods=64, survival=0)
-    both, alone = (solve_tile(system, {"m": masses}, settings) for masses in ([0.0, 2.0], [2.0]))
-    assert both["regime"][0] == INVALID
-    assert all(same(both[name][1:], alone[name]) for name in alone)
-
-
 def test_results_have_the_broadcast_shape_of_the_parameters() -> None:
     settings = Settings(exponents="spectrum", section_samples=5)
     found = solve_tile("two-mass", {"omega": np.array([3.0, 4.0, 5.0]), "b": np.array([[9.0], [8.0]])}, settings)

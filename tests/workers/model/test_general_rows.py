@@ -22,7 +22,7 @@ SPECTRUM = Settings(exponents="spectrum")
 def bistable() -> System:
     """H: x'' + .1 x' - x, and 3 (|x| - .5) more beyond +-.5."""
     wall = {"name": "wall", "gap": [1.0], "upper": 0.5, "lower": -0.5, "stiffness": 3.0}
-    return cosine_mass(stiffness=[[-1.0]], contacts=[wall])
+    return cosine_mass(stiffness=[[-1.0]], contacts=[wall], parameters={"A": {"default": 0.4}})
 
 
 def rotor(**contact: Any) -> System:

@@ -20,6 +20,7 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.spec.equation import equation_of
 from atlas.spec.spec import Spec
+from tests.refusals import refuse
 from tests.support.oracle.piecewise import PiecewiseContact
 from tests.support.oracle.piecewise.random_machines import random_machine, random_state
 from tests.support.oracle.segmented_mass import SegmentedMass
@@ -457,10 +458,7 @@ NO_LAWS = [
 
 @pytest.mark.parametrize(("definition", "line"), NO_LAWS, ids=[line for _, line in NO_LAWS])
 def test_a_law_that_is_none_gets_one_line(definition: dict[str, Any], line: str) -> None:
-    with pytest.raises(DefinitionError) as caught:
-        System.from_mapping(definition)
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refuse(definition, line)
 
 
 def test_a_law_among_too_many_elements_gets_one_line() -> None:
@@ -468,15 +466,6 @@ def test_a_law_among_too_many_elements_gets_one_line() -> None:
     friction = [{"name": f"f{k}", "row": [1.0], "kinetic": 1} for k in range(3)]
     with pytest.raises(DefinitionError, match="found 7 contacts, springs and friction elements, must be at most 6"):
         System.from_mapping(with_law("friction", [[0, 1], [1, 1]]) | {"springs": springs, "friction": friction})
-
-
-def test_a_cell_whose_law_is_none_is_invalid_and_its_neighbours_are_not() -> None:
-    law = [[0.0, 0.0], ["a", 1.0], [1.0, 3.0]]
-    system = System.from_mapping(with_law("springs", law) | {"parameters": {"a": {"default": 0.5}}})
-    found = solve_tile(system, {"a": [0.5, 1.5]}, Settings(exponents="none", max_periods=300))
-    alone = solve_tile(system, {"a": [0.5]}, Settings(exponents="none", max_periods=300))
-    assert found["regime"][1] == 5
-    np.testing.assert_array_equal(found["state"][0], alone["state"][0])
 
 
 def test_a_cell_whose_law_does_not_reach_0_is_invalid() -> None:
