@@ -8,8 +8,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from atlas.check.rules import broken_rules
-from atlas.spec.spec import Spec
 from tests.support.oracle.shaken_mass import follow
 from workers import solve_tile
 from workers.model.system import System
@@ -152,12 +150,3 @@ def test_energy_has_no_error_to_tell_where_it_is_lost() -> None:
     found = solve_tile(system, {"c": [0.0, 0.1], "x": 1.0}, Settings(max_periods=2000))
     assert np.isfinite(found["energy_error"]).tolist() == [True, False]
     assert found["regime"][0] == REGULAR != found["regime"][1]
-
-
-@pytest.mark.parametrize("name", ["impact-pair", "bouncing-ball"])
-def test_results_of_regular_motion_obey_the_rules(name: str) -> None:
-    own = {"alpha": AMPLITUDE} if name == "impact-pair" else {"A": 0.01}
-    spec = Spec(name, {"v": [0.5, 0.77, 3.0]}, parameters=own | {"R": 1.0}, solve={"exponents": "spectrum"})
-    arrays = solve_tile(spec.system_def, spec.cell_params((slice(0, 3),)), spec.settings)
-    assert REGULAR in arrays["regime"]
-    assert broken_rules(spec, (slice(0, 3),), arrays) == {}

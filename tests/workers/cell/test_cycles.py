@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.check.rules import broken_rules
 from atlas.errors import InputError
 from atlas.spec.spec import Spec, validate_parameters
 from tests.support.oracle.piecewise.machine import PiecewiseContact, PiecewiseFriction, PiecewiseMachine
@@ -219,19 +218,6 @@ def test_results_are_told_per_unit_of_time() -> None:
     assert named["largest"].long_name == "largest Lyapunov exponent per unit time"
     assert named["cycle_period"].long_name == "time that a cycle takes; NaN unless the motion repeats"
     assert not any("forcing period" in variable.long_name for variable in named.values())
-
-
-def test_what_the_results_have_to_do_with_each_other_holds_without_a_force() -> None:
-    """The rules that ``atlas verify`` checks, of cycles and of mass at rest on a stop and off it."""
-    stopped = {"gap": [1.0], "upper": "b", "restitution": 0.7, "parameters": {"b": 1.0}}
-    for system, name, values, x in (
-        (belt(), "v0", [0.3, 0.5, 0.9], 1.6),
-        (machine(damping=[[-0.1]], **stopped), "b", [0.5, 1.0], 0.1),
-        (machine(damping=[[0.1]], load=[1.0], **stopped), "b", [0.3, 2.0], 0.0),
-    ):
-        spec = Spec(system, {name: values}, {"x": x}, {"exponents": "spectrum"})
-        arrays = solve_tile(system, spec.parameters | {name: values}, spec.settings)
-        assert broken_rules(spec, (slice(0, len(values)),), arrays) == {}
 
 
 # Motion that does not close
