@@ -2,13 +2,11 @@
 
 import math
 
-import numpy as np
 import pytest
 from mpmath import mp
 
-from tests.support.oracle import dense_violation, simulate, symmetric_orbit
+from tests.support.oracle import simulate, symmetric_orbit
 from tests.support.oracle.crossing import first_upward_zero
-from tests.support.oracle.simulate import first_hit
 
 FIG3 = {"mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "omega": 4.0, "tau": math.pi, "R": 0.8, "b": 0.1}
 STICKING = {**FIG3, "R": 0.3, "b": 0.15, "omega": 1.0}
@@ -85,22 +83,3 @@ def test_initial_state_on_a_stop_is_the_contact_that_it_is(state: dict, impacts:
     at_once = [impact for impact in run.impacts if impact.t == 0]
     assert len(at_once) == impacts
     assert bool(run.stuck and run.stuck[0].start == 0) == rests
-
-
-def random_flights(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """States in the gap of FIG3, a third of them leaving the upper stop, and times since the section."""
-    rng = np.random.default_rng(seed)
-    states = rng.normal(0.0, [0.0, 0.2, 0.4, 0.4], (count, 4))
-    states[:, 0] = rng.uniform(-0.1, 0.1, count)
-    states[::3, 0], states[::3, 2] = 0.1, -np.abs(states[::3, 2])
-    return states, rng.uniform(0.0, math.pi / 2, count)
-
-
-def test_dense_violation_sees_a_missed_impact_and_only_that() -> None:
-    states, starts = random_flights(3, 40)
-    hits = [first_hit(FIG3, state.tolist(), start, 1.57) for state, start in zip(states, starts, strict=True)]
-    hit = np.array([found is not None for found in hits])
-    assert hit.sum() > 20
-    flown = [float(found.t) if found else 1.57 for found in hits]
-    assert dense_violation(FIG3, states, starts, flown).max() < 1e-14
-    assert np.array_equal(dense_violation(FIG3, states, starts, 1.57) > 1e-12, hit)

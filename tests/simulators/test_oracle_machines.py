@@ -13,7 +13,6 @@ from tests.exponential import flown
 from tests.paths import DATA
 from tests.support.oracle import (
     OracleMachine,
-    dense_violation,
     simulate,
     two_mass,
 )
@@ -206,36 +205,3 @@ def test_random_machines_hit_stops_and_some_of_them_rest() -> None:
     runs = [simulate(drawn(seed, 2), 3, digits=25) for seed in range(30)]
     assert sum(bool(run.impacts) for run in runs) > 20
     assert 3 < sum(bool(run.stuck) for run in runs) < 20
-
-
-# Sampling in double precision
-
-
-@pytest.mark.parametrize("one_sided", [False, True], ids=["two stops", "one stop"])
-@pytest.mark.parametrize("n", [1, 3, 8])
-def test_dense_violation_is_zero_up_to_the_first_impact_of_any_machine_and_not_beyond(n: int, one_sided: bool) -> None:
-    machine = drawn(4, n, one_sided=one_sided)
-    rng = np.random.default_rng(n)
-    T = 2 * math.pi / machine.omega
-    for start in rng.uniform(0, T, 10):
-        state = random_state(rng, machine)
-        hit = first_hit(machine, state.tolist(), start, T)
-        assert dense_violation(machine, state, start, float(hit.t) if hit else T)[0] < 1e-12
-        assert hit is None or dense_violation(machine, state, start, 2 * T)[0] > 1e-12
-
-
-def random_state(rng: np.random.Generator, machine: OracleMachine) -> np.ndarray:
-    """Between the stops; every other one leaves a stop, on which it is to within rounding."""
-    n, g = len(machine.gap_row), np.asarray(machine.gap_row)
-    start = np.asarray(machine.start)
-    state = start + 0.5 * np.abs(start).max() * rng.normal(size=2 * n)
-    ends = [machine.lower, machine.upper]
-    middle = g @ start[:n]
-    if rng.random() < 0.5:
-        side = int(np.flatnonzero(np.isfinite(ends))[0])
-        y = ends[side]
-        state[n:] += g * ((1 - 2 * side) * rng.uniform(0.1, 1.0) - g @ state[n:]) / (g @ g)
-    else:
-        y = middle + 0.9 * rng.uniform(0, 1) * (ends[int(np.flatnonzero(np.isfinite(ends))[0])] - middle)
-    state[:n] += g * (y - g @ state[:n]) / (g @ g)
-    return state

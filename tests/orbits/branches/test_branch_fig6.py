@@ -123,7 +123,7 @@ def test_a_thousandth_from_a_bifurcation_the_class_is_right_and_nearer_to_it_nev
     """From a thousandth beside the orbit; a hundred-thousandth from the bifurcation the class may stay open."""
     point = nearest(trees, bifurcation).point
     state = section_states(TWO_MASS, {"omega": point.values}, [point.orbit])[0, 0]
-    start = dict(zip(TWO_MASS.states, (1.001 * state).tolist(), strict=True))
+    start = dict(zip(TWO_MASS.states, (0.999 * state).tolist(), strict=True))
     found = solve_tile("two-mass", start | {"omega": bifurcation.omega + distance})
     right = bifurcation.stable if distance * bifurcation.stable_side > 0 else bifurcation.beyond
     shown = (int(found["period"]), bool(found["symmetric"]))

@@ -4,7 +4,7 @@
                               parameters
 ``simulate``            any orbit, chatter and sticking included, in multiprecision arithmetic (mpmath)
 ``section_jacobian``    derivative of the stroboscopic map by differences of such orbits
-``dense_violation``     how far given flights pass beyond a stop, in double precision, by dense sampling
+``first_hit``           first impact of a free flight
 ``symmetric_orbit``     the symmetric orbit with one impact a side, in closed form
 ``one_sided_orbit``     the orbit with one impact in n periods, in closed form
 
@@ -13,9 +13,8 @@ contact. The parameters of the two-mass oscillator are accepted in place of a ma
 """
 
 from tests.support.oracle.closed_form import ImpactOrbit, one_sided_orbit, symmetric_orbit
-from tests.support.oracle.dense import dense_violation
 from tests.support.oracle.model import OracleMachine, two_mass
-from tests.support.oracle.simulate import Impact, RestInterval, SimulatedMotion, section_jacobian, simulate
+from tests.support.oracle.simulate import Impact, RestInterval, SimulatedMotion, first_hit, section_jacobian, simulate
 
 __all__ = [
     "Impact",
@@ -23,7 +22,7 @@ __all__ = [
     "OracleMachine",
     "RestInterval",
     "SimulatedMotion",
-    "dense_violation",
+    "first_hit",
     "one_sided_orbit",
     "section_jacobian",
     "simulate",

@@ -1,4 +1,4 @@
-"""Claims about forces: sine and cosine parts, many orders, commensurate frequencies, square waves."""
+"""Claims about forces: sine and cosine parts, many orders, commensurate frequencies."""
 
 import json
 import math
@@ -281,25 +281,6 @@ def test_machines_of_many_modes_and_high_orders_go_where_the_oracle_takes_them()
 @pytest.mark.parametrize("block", range(4))
 def test_many_machines_of_many_modes_and_high_orders_go_where_the_oracle_takes_them(block: int) -> None:
     assert_few_stop([compare(seed, 2, of_many_modes) for seed in range(10 + 25 * block, 35 + 25 * block)])
-
-
-# Square waves
-
-
-def test_phases_with_loads_are_a_square_wave() -> None:
-    """Against the sum of the series of its response."""
-    own = {key: OWN[key] for key in ("name", "coordinates", "parameters")}
-    square = System.from_mapping(
-        own | {"mass": [[1.0]], "stiffness": [[4.0]], "damping": [[0.5]], "load": [0.0], "contacts": [
-            {"name": "stop", "gap": [1.0], "upper": 50.0, "restitution": 0.5}],
-            "phases": [{"start": 0.0, "load": [1.0]}, {"start": 0.5, "load": [-1.0]}],
-            "measures": {"x": {"displacement": [1.0], "report": ["peak", "rms"]}}}
-    )  # fmt: skip
-    omega = 0.9
-    k = np.arange(1, 400_001, 2.0)
-    amplitudes = 4 / (math.pi * k) / np.abs(4.0 - (k * omega) ** 2 + 0.5j * k * omega)
-    found = solve_tile(square, {"omega": omega})
-    assert found["x_rms"] == pytest.approx(math.sqrt((amplitudes**2).sum() / 2), rel=1e-9)
 
 
 LINES: list[tuple[dict[str, Any], str]] = [
