@@ -81,6 +81,8 @@ def told(hybrid: Oscillator, readings: MeasureTotals, periods: float) -> dict[st
         "max_force": np.max(readings.force, initial=0.0),
         "contact_fraction": readings.touching[0] / span,
         "stick_fraction": readings.stuck[0] / span,
+        "low": readings.low[0, :n],
+        "high": readings.high[0, :n],
     }
 
 
@@ -125,17 +127,6 @@ def test_half_a_turn_later_a_symmetric_orbit_is_its_mirror_image_and_no_other_on
     assert (away < 1e-12) == RECORDS[name]["symmetric"] or not RECORDS[name]["periods"] % 2
 
 
-@each_orbit
-def test_extremes_of_displacements_and_velocities_are_never_below_what_sections_and_the_mean_square_show(
-    name: str,
-) -> None:
-    hybrid, readings, periods = readings_of(name)
-    rms = np.sqrt(readings.square[0] / (periods * hybrid.period[0]))
-    peak = np.maximum(-readings.low[0], readings.high[0])
-    assert np.all(peak >= rms * (1.0 - 1e-12))
-    assert np.all(peak[: len(RECORDS[name]["state"])] >= np.abs(RECORDS[name]["state"]) * (1.0 - 1e-12))
-
-
 QUICK = (0, 1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 26, 34, 38, 39)
 """Random machines of which the oracle is done soon."""
 
@@ -157,12 +148,6 @@ def test_random_motions_show_what_the_oracle_integrates_of_them(seed: int) -> No
         scale = max(1.0, float(np.max(np.abs(wanted[key]), initial=0.0)))
         error = 1e-6 * growth if key == "stick_fraction" else 1e-10 * growth * scale
         np.testing.assert_allclose(value, wanted[key], rtol=0.0, atol=error, err_msg=key)
-
-
-def test_row_5_has_the_losses_of_stop_and_damper_of_the_table() -> None:
-    _, readings, _ = readings_of("row 5")
-    assert readings.stop[0, 0] == pytest.approx(0.1057152280443, abs=1e-13)
-    assert readings.damped[0, 0] == pytest.approx(0.07970583872638, abs=1e-13)
 
 
 def cell_of(definition: dict[str, Any], settings: Settings | None = None, **params: float) -> dict[str, float]:
