@@ -31,8 +31,6 @@ from workers.results import (
 )
 
 LOW_DAMPING = {"zeta": 0.005, "b": 0.3, "mu_k": 5.0, "mu_m": 2.0}
-SIDE = np.linspace(0, 1, 60)
-
 TRANSIENTS = json.loads((DATA / "transients.json").read_text())["cells"]
 """Motions that look chaotic for thousands of periods and are not, or change to a weaker chaos: long runs of another
 simulator."""
