@@ -114,14 +114,6 @@ def test_flutter_between_soft_stops_has_the_symmetric_cycle_and_the_multipliers_
     assert found["state"] == pytest.approx(passing, abs=1e-11)
 
 
-def test_a_law_of_chords_sticks_and_slips_as_c3_says() -> None:
-    law = [[0.5 * j, 0.5 + 0.5 * math.exp(-j)] for j in range(9)]
-    friction = {"name": "belt", "row": [1.0], "belt": 1.0, "law": [*law, [5.0, law[-1][1]]]}
-    found = solved(machine(damping=[[0.1]], friction=[friction]), x=0.9, v=1.0)
-    assert found["cycle_period"] == pytest.approx(6.45097319759493817, abs=1e-12)
-    assert found["belt_stuck"] == pytest.approx(0.161090048268041064, abs=1e-12)
-
-
 @pytest.mark.parametrize(("c", "v0", "s"), [(0.05, 0.4, 0.0), (0.15, 0.2, 0.05), (0.02, 0.7, -0.1)])
 def test_the_oracle_goes_round_a_cycle_to_where_it_began(c: float, v0: float, s: float) -> None:
     """An independent simulation, in more digits, from the state of the result over the period of the result."""

@@ -1,8 +1,6 @@
 """Claims about systems: those in the package are what their pages say, and a definition that is wrong gets one line."""
 
-import json
 import math
-import pickle
 import re
 import tomllib
 from pathlib import Path
@@ -116,33 +114,6 @@ def test_a_packaged_system_says_what_it_is(name: str) -> None:
     assert len(system.axes) == 2
     assert all(system.parameter(axis).admits(end) for axis, *ends in system.axes for end in ends)
     assert all(p.symbol and p.unit and p.meaning for p in system.parameters)
-
-
-@each_system
-def test_a_system_survives_its_own_table_json_and_pickle(name: str) -> None:
-    system = find_system(name)
-    again = System.from_mapping(json.loads(json.dumps(system.table())))
-    assert (again.table(), again.parameters, again.definition) == (system.table(), system.parameters, system.definition)
-    assert pickle.loads(pickle.dumps(system)) == system
-
-
-@each_system
-def test_all_machines_of_a_system_are_made_alike_to_the_bit(name: str) -> None:
-    """A machine is the same whether it is made alone or among many, but for the room that laws of others take."""
-
-    def alike(alone: np.ndarray, among: np.ndarray) -> bool:
-        own = among if among.shape == alone.shape else among[..., : alone.shape[-2], :]
-        more = among[..., own.shape[-2] :, 0] if own is not among else np.zeros(0)
-        return alone.tobytes() == own.tobytes() and bool(np.all(np.isinf(more)))
-
-    system, rng = find_system(name), np.random.default_rng(5)
-    values = {p.name: np.exp(rng.normal(size=50)) * (0.2 if p.high == 1.0 else 1.0) for p in system.parameters}
-    made = system.definition.hybrid if system.has_modes else system.definition.machines
-    with np.errstate(all="ignore"):
-        many = made(values)
-        for k in (0, 7, 49):
-            alone = made({key: column[k : k + 1] for key, column in values.items()})
-            assert all(alike(a[0], b[k]) for a, b in zip(alone, many, strict=True))
 
 
 def test_a_ball_falls_onto_a_table_from_above() -> None:
