@@ -295,36 +295,6 @@ def test_beyond_its_symmetry_breaking_an_orbit_is_not_marked_symmetric() -> None
     assert cell["regime"] == PERIODIC and not cell["symmetric"]
 
 
-WALLS: dict[str, dict[str, Any]] = {
-    "soft": {"stiffness": 15.0, "damping": 0.7},
-    "soft, by force": {"stiffness": 15.0, "damping": 0.7, "release": "force"},
-    "preloaded": {"stiffness": 15.0, "damping": 0.7, "preload": 0.2},
-    "rigid": {"restitution": 0.6},
-}
-
-
-@pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS)
-def test_what_the_force_puts_in_is_what_contact_friction_and_dampers_take(wall: dict[str, Any]) -> None:
-    """The power of F sin on x is F <x' sin>: beside x goes u' = sin, and 4 <x' u'> = <(x' + u')^2> - <(x' - u')^2>."""
-    definition = {
-        "name": "balance", "coordinates": ["x", "u"], "velocities": ["v", "w"], "mass": [[1.0, 0.0], [0.0, 1.0]],
-        "damping": [[0.1, 0.0], [0.0, 0.3]], "stiffness": [[1.0, 0.0], [0.0, "omega**2"]], "force": [1.2, 0.3],
-        "contacts": [{"name": "wall", "gap": [1.0, 0.0], "upper": 0.6, **wall}],
-        "friction": [{"name": "ground", "row": [1.0, 0.0], "kinetic": 0.2, "static": 0.3, "slope": -0.06}],
-        "measures": {
-            name: {"velocity": row, "weight": 1.0, "report": ["power"]}
-            for name, row in (("plus", [1.0, 1.0]), ("minus", [1.0, -1.0]), ("u", [0.0, 1.0]))
-        },
-    }  # fmt: skip
-    cell = cell_of(definition, omega=1.1)
-    assert cell["regime"] == PERIODIC and cell["wall_upper"] >= 1 and cell["ground_loss"] > 0.0
-    T = 2.0 * math.pi / 1.1
-    put_in = 1.2 * 0.25 * (cell["plus_power"] - cell["minus_power"]) * T + 0.3 * cell["u_power"] * T
-    taken = cell["wall_loss"] + cell["ground_loss"] + cell["damper_loss"]
-    assert cell["u_power"] == pytest.approx(0.5, rel=1e-12)
-    assert cell["wall_loss"] > 0.01 and taken == pytest.approx(put_in, rel=1e-11)
-
-
 SQUARE = {"force": [0.0], "phases": [{"start": 0.0, "load": [2.0]}, {"start": 0.5, "load": [-2.0]}]}
 
 UNEVEN: dict[str, dict[str, Any]] = {

@@ -121,37 +121,6 @@ def test_the_kinds_include_what_their_names_say() -> None:
 # Sticking
 
 
-def sticking_state() -> tuple[Oscillator, np.ndarray]:
-    osc, start = naive.two_mass(**naive.STICKING)
-    return osc, on_attractor(osc, start, 20)
-
-
-def test_a_period_with_sticking_has_rank_two_less() -> None:
-    osc, state = sticking_state()
-    singular = np.linalg.svd(jacobian(osc, state, 1), compute_uv=False)
-    assert singular[1] > 1e-3
-    assert singular[2] < 1e-14
-    motion = motion_from(osc, state)
-    advance(osc, motion)
-    assert motion.tally[LOST] == 2
-
-
-def test_an_inelastic_impact_that_leaves_at_once_costs_one_rank() -> None:
-    osc, start = naive.two_mass(**KINDS["leaves at once, R = 0"])
-    J = jacobian(osc, on_attractor(osc, start, 30), 1)
-    assert np.linalg.matrix_rank(J, tol=1e-13 * np.abs(J).max()) == 3
-
-
-def test_a_cell_held_at_its_section_lies_on_the_stop_at_rest() -> None:
-    osc, state = naive.two_mass(**KINDS["held at the section"])
-    motion = motion_from(osc, state)
-    run_periods(osc, motion, 10)
-    x1, _, v1, _ = blocks_to_physical(osc, motion)
-    assert (abs(x1), v1) == (osc.b_upper, 0.0)
-    again = motion_from(osc, blocks_to_physical(osc, motion))
-    assert again.mode[0] == motion.mode[0]
-
-
 # The half-period map
 
 
