@@ -118,9 +118,6 @@ def test_the_kinds_include_what_their_names_say() -> None:
         assert ("critical" in kind) == bool(np.any(np.abs(damping) < 1e-12)), kind
 
 
-# Sticking
-
-
 # The half-period map
 
 
