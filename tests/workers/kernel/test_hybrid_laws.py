@@ -38,9 +38,6 @@ def solved(machines: list[PiecewiseMachine], states: list[list[float]], settings
     return found
 
 
-# Neighbours
-
-
 # Tables
 
 
