@@ -2,7 +2,7 @@
 
 Usage: python -m scripts.explorer_picture STORE PICTURE.png [--seconds 60]
 
-STORE is of the plane of the example omega-b, at any density, with its curves. Needs chromium and Playwright. The store
+STORE is of the plane of the example omega-b, at any density. Needs chromium and Playwright. The store
 is explored in place; what is solved is kept there.
 """
 
@@ -18,7 +18,7 @@ from atlas.query.open import open_atlas
 from atlas.render.provenance import metadata, provenance_of
 from tests.support.browser import opened, started
 
-WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=curves"
+WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=boundaries"
 SIZE = 1440, 900
 CELL = 0.249, 0.35
 """The cell that is clicked, as shares of the plane's width and height: chaos beside an orbit."""

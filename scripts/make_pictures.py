@@ -28,7 +28,6 @@ BESIDE = {
     ],
     "explorer.png": [
         "atlas run omega-b -o plane.zarr",
-        "atlas find curves plane.zarr",
         "python -m scripts.explorer_picture plane.zarr explorer.png",
     ],
 }

@@ -29,7 +29,7 @@ let size = null, asked = "", timer = 0; // of the plane in pixels, what the serv
 let held = null; // the visible cells from the server
 let shown = null; // the map that is drawn, its cells and their colours
 let enlarged = new Set(); // labels of classes whose single cells are drawn larger
-let pointed = null, turns = 0, lastMove = -GESTURE, keyed = "", tool = "move";
+let pointed = null, turns = 0, lastMove = -GESTURE, keyed = "", tool = "move", isClicked = false;
 const past = [], future = []; // windows before and after this one
 
 const stateNow = () => state, axesNow = () => held?.axes ?? bare, say = (id, text) => { if (by(id).textContent !== text) by(id).textContent = text; };
@@ -185,7 +185,7 @@ const plane = planeOn(by("map"), {
   whole: () => change({ x: subject.whole[0], y: subject.whole[1] }),
   choose: (at) => request("cell", { at }).then(({ cell }) => {
     change({ cell: { at: cell, parameters: state.parameters } });
-    if (matchMedia("(min-width: 1100px)").matches) by("cell").scrollIntoView();
+    isClicked = true;
   }),
   point, escape: () => { state = escaped(state); refresh(); ask(); },
   resized: (width, height) => { size = [width, height]; ask(); },
@@ -308,7 +308,13 @@ const HEARD = {
     if (bar.getAttribute("aria-valuenow") !== now) bar.setAttribute("aria-valuenow", now), (bar.style.width = `${now}%`);
   },
   refused: ({ reason }) => complain(reason),
-  cell: details.cell, motion: details.motion, portraits: details.portraits, attractors: details.attractors,
+  cell(given) {
+    details.cell(given);
+    if (given.solving || !isClicked) return;
+    isClicked = false;
+    if (matchMedia("(min-width: 1100px)").matches) by("cell").scrollIntoView();
+  },
+  motion: details.motion, portraits: details.portraits, attractors: details.attractors,
   offer: follow.offer, follow: follow.follow, branch: follow.branch,
   orbit(given) { follow.orbit(given); plane.draw(); },
   cut: cut.tell,
