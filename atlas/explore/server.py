@@ -126,6 +126,8 @@ class PageServer:
         self.port = int(sockets[0].getsockname()[1])
         with ExitStack() as ending:
             ending.callback(loop.close, all_fds=False)
+            for bound in sockets:
+                ending.callback(bound.close)
             open_pages = set[_Socket]()
             given: dict[str, Any] = {"server": self, "open_pages": open_pages}
             hosts = None if self._any_host else own_hosts(self.port)

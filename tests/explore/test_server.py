@@ -143,6 +143,8 @@ def test_a_websocket_goes_to_those_who_have_the_token_alone(
             return [await asyncio.wait_for(connection.read_message(), 10.0) for _ in range(2)]
         finally:
             connection.close()
+            while await asyncio.wait_for(connection.read_message(), 10.0) is not None:
+                pass
 
     for query in ("", "?token=", f"?token={asked.token[:-1]}"):
         with pytest.raises(HTTPClientError, match="403"):

@@ -51,18 +51,22 @@ def test_a_dataset_is_explored_in_a_frame_that_shows_its_window_and_stop_ends_it
     assert client.status == "running"  # it is the caller's
 
 
-async def visited(url: str) -> None:
-    """Open the websocket of a page, until the server has said something."""
+async def threads_of_a_page(url: str) -> set[str]:
+    """The names of all threads while the websocket of a page is open."""
     connection = await websocket_connect(url.replace("http", "ws", 1).replace("/?", "/ws?"))
     assert await asyncio.wait_for(connection.read_message(), 30.0)
+    names = {thread.name for thread in threading.enumerate()}
+    connection.close()
+    while await asyncio.wait_for(connection.read_message(), 30.0) is not None:
+        pass
+    return names
 
 
 def test_stop_ends_the_threads_of_every_page(finished: Path, client: Client) -> None:
     before = set(threading.enumerate())
     shown = atlas.open(finished).atlas.explore(client=client)
     try:
-        asyncio.run(visited(shown.url))
-        names = {thread.name for thread in set(threading.enumerate()) - before}
+        names = asyncio.run(threads_of_a_page(shown.url))
         assert {"atlas-page", "atlas-painter", "atlas-patches"} <= names
     finally:
         shown.stop()
