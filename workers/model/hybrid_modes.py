@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from workers.model.block_decomposition import FREE, apply_stacked, split, symmetric
 from workers.model.free_flight import BlockFlow, BlockLoading, derivative_of, loading_of, sizes_of
 from workers.model.free_flight import mode_of as motion_in
-from workers.model.hybrid_machines import HybridMachines, along_contacts
+from workers.model.machines import Machines, along_contacts
 from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, Rows, at_rows, make_blocks
 
@@ -90,7 +90,7 @@ def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segm
     return ModeCode(number, tuple(reversed(states)), tuple(reversed(signs)))
 
 
-def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
+def pushing(machines: Machines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
     """Return stiffness, damping and preload (N,) of a soft contact's force.
 
     machines  the machines
@@ -102,7 +102,7 @@ def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array
     return stiffness + slope, damping, preload + level
 
 
-def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
+def resisting(machines: Machines, p: int, f: int, sign: int) -> tuple[Array, Array]:
     """Return kinetic level and slope (N,) of the force of friction f while it slides in phase p.
 
     ``sign`` is the slip's number in ModeCode, which decides the segment of the friction law.
@@ -185,7 +185,7 @@ class ModeStructure(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, NDArray[np.int64]]:
+def build_modes(machines: Machines, code: ModeCode) -> tuple[HybridModes, NDArray[np.int64]]:
     """Return the mode ``code``, a set of linear equations between two events, of machines, and its faults (N,).
 
     A fault is 0 if the mode is valid. RESONANT is undamped resonance. NO_FORM means that sticking rows depend on each
@@ -195,7 +195,7 @@ def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, 
 
 
 @np.errstate(all="ignore")
-def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, ModeStructure]]:
+def structures_of(machines: Machines, code: ModeCode) -> list[tuple[Rows, ModeStructure]]:
     """Return a list of (rows, structure): the part of a mode that does not depend on the forcing frequency.
 
     A mode is a set of linear equations between two events; ``rows`` are the machines with the same structure. Machines
@@ -225,7 +225,7 @@ def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tu
     )
 
 
-def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
+def structure_of_mode(machines: Machines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
     """Return the linear equations of a mode without the effect of the forcing frequency, for equal ``resting``.
 
     machines, code  the machines and the mode, with phase, contacts and friction
@@ -309,7 +309,7 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
     return HybridModes(*map(np.ascontiguousarray, pieces)), np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
 
-def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
+def _resting(machines: Machines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
     """Return groups of machines with equal friction on sticking contacts, and the group (N,) of each machine.
 
     A group is a mapping: from each friction that sticks on the row of a sticking rigid contact to that contact. Whether
@@ -342,7 +342,7 @@ def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
 
 
 def _signals(
-    machines: HybridMachines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
+    machines: Machines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
 ) -> tuple[Array, Array, Array]:
     """Return the signals of a mode: weights (N, G, 2n + 1), force parts (N, G, H, 2) and ranges (N, G, 2).
 

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from workers.model.block_decomposition import FREE as RIGID
 from workers.model.block_decomposition import apply_stacked, interleaved, symmetric, undamped_modes
-from workers.model.free_flight import finite, grows_unseen, phase_of, turns_too_far
-from workers.model.hybrid_machines import (
-    HybridMachines,
+from workers.model.free_flight import grows_unseen, phase_of, turns_too_far
+from workers.model.hybrid_modes import OF_PIECES, OPEN, HybridModes, ModeCode, build_modes, code_of, null_space
+from workers.model.machines import (
+    Machines,
     about_centre,
     along_contacts,
     definite,
-    hybrid_faults,
+    faults,
     is_mirror_symmetric,
 )
-from workers.model.hybrid_modes import OF_PIECES, OPEN, HybridModes, ModeCode, build_modes, code_of, null_space
 from workers.model.oscillator import (
     COLUMN,
     NUMBER,
@@ -34,6 +34,7 @@ from workers.model.oscillator import (
     Rows,
     at_rows,
     empty,
+    finite,
     growth_of,
     make_blocks,
     rates_of,
@@ -42,7 +43,7 @@ from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
 
 class ContactElements(NamedTuple):
-    """Contacts and friction of N machines as compiled kernels need them: fields of HybridMachines, and derived fields.
+    """Contacts and friction of N machines as compiled kernels need them: fields of Machines, and derived fields.
 
     kick               (N, C, n) M^-1 g / (g M^-1 g), the direction of an impact, g the weights of displacements
     weight             (N, C) 1 / (g M^-1 g) of each contact
@@ -70,7 +71,7 @@ class ContactElements(NamedTuple):
     speeds: Array
 
 
-def elements_of(machines: HybridMachines) -> ContactElements:
+def elements_of(machines: Machines) -> ContactElements:
     """Return the contacts and friction of machines as the compiled kernels need them."""
     inverse_mass = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
 
@@ -115,7 +116,7 @@ class ModeTable(NamedTuple):
     omega: Array
     tau: Array
     drifts: Array
-    machines: HybridMachines
+    machines: Machines
 
     def without_modes(self, N: int) -> "ModeTable":
         """Return the table of N machines with one rigid contact, which has no room for modes; see ``no_table``."""
@@ -166,7 +167,7 @@ MODES_OF_PHASE = 4
 
 
 @np.errstate(all="ignore")
-def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
+def build_hybrid(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """Return machines with modes in the form for compiled kernels, and codes (N,) of the reasons why one is invalid.
 
     The code of a valid machine is NO_REASON. No mode, a set of linear equations between two events, is built yet.
@@ -236,7 +237,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         sticking=empty(OF_PIECES, N),
         table=table,
     )
-    reasons = hybrid_faults(machines)
+    reasons = faults(machines)
     reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
@@ -274,7 +275,7 @@ def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
     return np.where(growth > 0.0, np.where(np.isfinite(least), least, 0.0), decays)
 
 
-def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
+def _unheld(machines: Machines, open_pieces: HybridModes) -> Mask:
     """Return the mask (N,) of machines with a growing motion that no contact and no friction sees.
 
     Such a motion moves no contact's coordinate and slides no friction. ``open_pieces`` are the equations of motion with
@@ -286,7 +287,7 @@ def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
     return grows_unseen(open_pieces.blocks[:, 0], open_pieces.to_physical, rows)
 
 
-def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:
+def _unforced_swing(machines: Machines, lam: Array, modes: Array, weight: Array) -> Array:
     """Return the typical sizes (N, n, 2) of h and h' in each decoupled equation of machines without a force.
 
     lam     (N, n) squared frequencies of the undamped modes

@@ -129,7 +129,7 @@ def general(damping: float, harmonics: int) -> System:
 
 def bounced(system: System, motion: OrbitMotion, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The naive twin: physical states at times s of one turn, and at its end, by an integrator."""
-    own = system.definition.hybrid({"omega": np.array([1.7]), "tau": np.array([0.4])})
+    own = system.definition.machines({"omega": np.array([1.7]), "tau": np.array([0.4])})
     inverse, row, rest, n = np.linalg.inv(own.mass[0]), own.row[0, 0], motion.lin.rest[0], 3
     kick = inverse @ row / (row @ inverse @ row)
     orders = np.arange(1, own.force_sin.shape[2] + 1)

@@ -22,7 +22,7 @@ from workers.kernel.period import advance
 from workers.kernel.signal import derivative_bounds
 from workers.model.block_decomposition import BlockDecomposition, split
 from workers.model.mode_table import build_hybrid
-from workers.model.oscillator import OF_FLOW, OF_GUARD, GuardedFlow, SingleContactMachines, make_blocks
+from workers.model.oscillator import OF_FLOW, OF_GUARD, GuardedFlow, make_blocks
 from workers.results import NO_REASON, UNSTABLE
 
 FLUTTER = (np.array([[3.0, 1.0], [1.0, 1.0]]), np.array([[2.0, -1.0], [-1.0, 1.0]]))
@@ -343,11 +343,7 @@ def rigid_machine(seed: int) -> PiecewiseMachine:
 
 def rigid(machine: PiecewiseMachine) -> Any:
     """The solver's machine with one rigid contact, unless there is a reason against it."""
-    many = machines_of([machine])
-    fields = (many.mass, many.damping[:, 0], many.stiffness[:, 0], many.row[:, 0], many.force_sin[:, 0],
-              many.force_cos[:, 0], many.load[:, 0], many.omega, many.tau, many.stops[:, 0, 1], many.stops[:, 0, 0],
-              many.R[:, 0])  # fmt: skip
-    return build_one(SingleContactMachines(*map(np.ascontiguousarray, fields)))
+    return build_one(machines_of([machine]))
 
 
 def compare_rigid(seed: int, periods: int) -> bool:

@@ -14,9 +14,9 @@ from tests.workers.model.test_systems import MACHINE, values_of
 from workers import System
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError
-from workers.model.hybrid_machines import HybridMachines, hybrid_faults
+from workers.model.machines import Machines, faults
 from workers.model.oscillator import map_fields
-from workers.model.system import find_system, identity, system_names
+from workers.model.system import identity
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 RIG = """
@@ -168,8 +168,8 @@ def test_every_entry_enters_the_identity_and_its_spelling_does_not() -> None:
     assert of(spelt.replace('preload = 0.5, stiffness = "2 * s"', 'stiffness = "2*s", preload = 0.50')) == of(RIG)
 
 
-def hybrid(system: System, **given: float | np.ndarray) -> HybridMachines:
-    return system.definition.hybrid(values_of(system, **given))
+def hybrid(system: System, **given: float | np.ndarray) -> Machines:
+    return system.definition.machines(values_of(system, **given))
 
 
 def test_values_of_parameters_make_the_numbers_of_each_phase() -> None:
@@ -211,23 +211,10 @@ def test_all_machines_of_a_definition_are_made_alike_to_the_bit(text: str) -> No
         and shapes["friction_constants"] == (9, P, F, 2, 3)
     )
     values = {p.name: np.exp(rng.normal(size=9)) for p in system.parameters}
-    many = system.definition.hybrid(values)
+    many = system.definition.machines(values)
     for k in (0, 8):
-        alone = system.definition.hybrid({name: column[k : k + 1] for name, column in values.items()})
+        alone = system.definition.machines({name: column[k : k + 1] for name, column in values.items()})
         assert all(a[0].tobytes() == b[k].tobytes() for a, b in zip(alone, many, strict=True))
-
-
-@pytest.mark.parametrize("name", [name for name in system_names() if not find_system(name).has_modes])
-def test_machines_of_one_rigid_contact_have_the_numbers_that_are_solved(name: str) -> None:
-    system = find_system(name)
-    values = values_of(system, omega=np.array([0.7, 1.9]))
-    found, wanted = system.definition.hybrid(values), system.definition.machines(values)
-    for key in ("damping", "stiffness", "load", "force_sin", "force_cos"):
-        assert getattr(found, key)[:, 0].tobytes() == getattr(wanted, key).tobytes()
-    for one, other in ((found.mass, wanted.mass), (found.row[:, 0], wanted.gap_row), (found.R[:, 0], wanted.R)):
-        assert one.tobytes() == other.tobytes()
-    assert (found.stops[:, 0] == np.stack([wanted.lower, wanted.upper], axis=-1)).all()
-    assert hybrid_faults(found).tolist() == [NO_REASON] * 2
 
 
 FAULTS = [
@@ -242,13 +229,13 @@ FAULTS = [
 def test_values_that_make_no_element_are_told_of_their_cell_alone(given: dict[str, float], reason: int) -> None:
     system = System.from_toml(RIG)
     columns = {name: np.array([system.parameter(name).default, value]) for name, value in given.items()}
-    assert hybrid_faults(hybrid(system, **columns)).tolist() == [NO_REASON, reason]
+    assert faults(hybrid(system, **columns)).tolist() == [NO_REASON, reason]
 
 
 def test_matrices_of_a_phase_need_not_be_symmetric() -> None:
     found = hybrid(System.from_toml(RIG), omega=np.ones(2))
     found.stiffness[1, 1, 0, 1] = 0.0
-    assert hybrid_faults(found).tolist() == [NO_REASON, NO_REASON]
+    assert faults(found).tolist() == [NO_REASON, NO_REASON]
 
 
 def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
@@ -270,9 +257,9 @@ def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
         [1e200, 1e200],
     ]  # friction on no contact's row, beside the wall's and the pad's
     wrong = np.isin(np.arange(9), [1, 3, 5, 7, 8])
-    assert hybrid_faults(found).tolist() == np.where(wrong, OUT_OF_RANGE, NO_REASON).tolist()
+    assert faults(found).tolist() == np.where(wrong, OUT_OF_RANGE, NO_REASON).tolist()
     assert map_fields(found, lambda field: field[:0]).mass.shape == (0, 2, 2)
-    assert hybrid_faults(map_fields(found, lambda field: field[:0])).tolist() == []
+    assert faults(map_fields(found, lambda field: field[:0])).tolist() == []
 
 
 def rig(**changes: Any) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from workers.kernel.motion import CONTRACTION, LOST, RUNNING, SIMULTANEOUS
 from workers.model import laws
 from workers.model.entries import DefinitionError
 from workers.model.expression import Expression
-from workers.model.hybrid_machines import HybridMachines
+from workers.model.machines import Machines
 from workers.model.mode_table import build_hybrid
 from workers.model.oscillator import Oscillator
 from workers.model.piecewise_fit import fewest
@@ -75,7 +75,7 @@ def hybrid_of(definition: dict[str, Any]) -> Oscillator:
     """The machine at its defaults, as the kernels run it."""
     system = System.from_mapping(definition)
     values = {p.name: np.array([p.default]) for p in system.parameters}
-    hybrid, reasons = build_hybrid(system.definition.hybrid(values))
+    hybrid, reasons = build_hybrid(system.definition.machines(values))
     assert reasons[0] == NO_REASON
     return hybrid
 
@@ -168,7 +168,7 @@ def test_a_contact_gives_back_what_its_law_takes_in_and_its_damper_takes_the_res
 class Drawn(NamedTuple):
     """A machine with laws, as the solver has it, the oracle's, and a state to start from."""
 
-    solver: HybridMachines
+    solver: Machines
     oracle: PiecewiseMachine
     start: list[float]
 

@@ -13,8 +13,8 @@ from workers.kernel.by_reference import as_many, row_in
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.linalg import copy_into
-from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import ON
+from workers.model.machines import PARALLEL
 from workers.model.oscillator import COLUMN
 
 ROW_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
