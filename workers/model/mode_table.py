@@ -51,6 +51,7 @@ class ContactElements(NamedTuple):
     along              (N, F, C) the factor a if a friction's row is a times a contact's row, else 0
     depths             (N, C, 2, S) starts of the segments of contact laws, infinite if missing
     speeds             (N, F, 2, S') starts of the segments of friction laws, infinite if missing
+    turned             (N, C) see ``_turned``
     """
 
     row: Array
@@ -68,6 +69,7 @@ class ContactElements(NamedTuple):
     counted: Array
     depths: Array
     speeds: Array
+    turned: Array
 
 
 def elements_of(machines: HybridMachines) -> ContactElements:
@@ -78,16 +80,34 @@ def elements_of(machines: HybridMachines) -> ContactElements:
         pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]
         return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
 
-    weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
+    kick, weight = (
+        along(machines.row),
+        1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0]),
+    )
     even = np.ascontiguousarray(
         (machines.friction_constants[..., 0] == machines.friction_constants[..., 1]).astype(np.float64)
     )
     return ContactElements(
-        machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
+        machines.row, kick, weight, machines.stops, machines.R, machines.soft,
         machines.friction_rows, along(machines.friction_rows), machines.belt, even, along_contacts(machines),
         machines.starts,
         machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
+        _turned(machines, kick),
     )  # fmt: skip
+
+
+def _turned(machines: HybridMachines, kick: Array) -> Array:
+    """Return logs (N, C) of the condition number of x -> x - (1 + R) kick (row . x), which an impact does to deviations.
+
+    kick  (N, C, n) see ContactElements
+
+    It is 1 for soft contacts. Besides the plane of ``kick`` and ``row`` nothing changes; in it the squares of both
+    stretches add up to the square of the Frobenius norm, and their product is R.
+    """
+    R = np.where(machines.soft > 0.0, 1.0, np.maximum(machines.R, 1e-300))
+    uneven = np.vecdot(kick, kick) * np.vecdot(machines.row, machines.row) - 1.0
+    squares = 1.0 + R * R + np.where(machines.soft > 0.0, 0.0, (1.0 + R) ** 2 * np.maximum(uneven, 0.0))
+    return np.asarray(np.arccosh(np.maximum(squares / (2.0 * R), 1.0)))
 
 
 class ModeTable(NamedTuple):
@@ -141,7 +161,7 @@ class ModeTable(NamedTuple):
         return rows
 
 
-_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 4, 4])
+_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 4, 4, 2])
 _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 """Number of axes of each field of a ModeTable, for many machines."""
 
@@ -240,7 +260,9 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
-    fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
+    fit = finite(
+        (to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none, turned=none))
+    )
     fit &= np.all(elements.weight > 0.0, axis=1)  # else the inverse is infinite: no contact moves anything
     return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 

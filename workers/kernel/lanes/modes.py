@@ -30,6 +30,7 @@ from workers.kernel.lanes.legs import (
     copy_lane,
     empty_lane,
     load_leg,
+    load_mode,
     read_flow,
     record_size,
     run_round,
@@ -51,6 +52,7 @@ class LegSearch(NamedTuple):
     records, legs       fields of the lanes, see ``legs.py``
     signals (U,)        numbers of the signals whose events are sought
     lane_cells (LANES,) cell of each lane
+    lane_modes (LANES,) index of the mode (set of linear equations) whose constants the lane has, -1 for none
     slots (LANES,)      row of its trajectory in the batch of trajectories
     before (LANES,)     log of the length of the first tangent vector of each trajectory, at the start of the period
     gathered            overwritten
@@ -63,6 +65,7 @@ class LegSearch(NamedTuple):
     legs: Array
     signals: Rows
     lane_cells: Rows
+    lane_modes: Rows
     slots: Rows
     before: Array
     gathered: Array
@@ -100,7 +103,7 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
     U, size = len(signals), record_size.py_func(n, harmonics)
     return LegSearch(
         room_for_vectors.py_func(U * size).reshape((U, size)), room_for_vectors.py_func(LEG_SIZE), signals,
-        np.zeros(LANES, dtype=np.int64), np.arange(LANES), np.zeros(LANES), room_for_vectors.py_func(GAP_SIZE),
+        *np.zeros((2, LANES), dtype=np.int64), np.arange(LANES), np.zeros(LANES), room_for_vectors.py_func(GAP_SIZE),
         np.empty(LANES, dtype=np.uint32), np.empty((n, 2)), np.empty((0, 0)),
     )  # fmt: skip
 
@@ -132,6 +135,7 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
             begin_period(batch, trajs, r, slot, more)
+            search.lane_modes[active] = -1
             if turn(batch, trajs, search, r, active, np.int64(BEGINS), np.bool_(False), more):
                 lane_cells[active] = r
                 active += 1
@@ -154,7 +158,7 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
             active -= 1
             copy_lane(search.records, active, lane)
             legs[LEG_FIELD.oscillates + lane] = legs[LEG_FIELD.oscillates + active]
-            lane_cells[lane] = lane_cells[active]
+            lane_cells[lane], search.lane_modes[lane] = lane_cells[active], search.lane_modes[active]
             slots[lane], slots[active] = slots[active], slots[lane]
             empty_lane(search.records, active)
 
@@ -264,11 +268,11 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
         if not (begins_at_rest(trip) or grows(table.pieces, trip.indices[INDEX.mode])):
             break
         through = pass_alone(batch, trajs, search, r, slot)
-    phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.indices[INDEX.mode]
-    smooth = load_leg(
-        search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
-    )
-    search.legs[LEG_FIELD.oscillates + i] = 1.0 if smooth else 0.0
+    k, records, signals = trip.indices[INDEX.mode], search.records, search.signals
+    if search.lane_modes[i] != k:
+        smooth = load_mode(records, i, table.pieces, signals, k, table.omega)
+        search.legs[LEG_FIELD.oscillates + i], search.lane_modes[i] = 1.0 if smooth else 0.0, k
+    load_leg(records, i, signals, trip.h, clock[CLOCK.phase], trip.turn, trip.begun, clock[CLOCK.horizon])
     return True
 
 
