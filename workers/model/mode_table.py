@@ -97,7 +97,7 @@ def elements_of(machines: HybridMachines) -> ContactElements:
 
 
 def _turned(machines: HybridMachines, kick: Array) -> Array:
-    """Return logs (N, C) of the condition number of x -> x - (1 + R) kick (row . x), which an impact does to deviations.
+    """Return logs (N, C) of the condition numbers of x -> x - (1 + R) kick (row . x), the effect of an impact.
 
     kick  (N, C, n) see ContactElements
 

@@ -17,6 +17,7 @@ from workers.kernel.crossing import TINY
 from workers.kernel.elementary import log
 from workers.kernel.external import FLOATS, INTEGERS, external
 from workers.kernel.flow import flow, flow_block, flow_vectors
+from workers.kernel.fma import fma
 from workers.kernel.hybrid.events import (
     ENDLESS,
     MISSING,
@@ -41,6 +42,7 @@ from workers.kernel.hybrid.state import (
     write_harmonics,
 )
 from workers.kernel.jit import inline_always, inlined, kernel, named_constants
+from workers.kernel.linalg import copy_into
 from workers.kernel.motion import (
     CONTRACTION,
     ENDLESS_EVENTS,
@@ -297,17 +299,18 @@ def follow(table, traj):
 
 
 @kernel
-def begin_trajectory(table, traj, number):
+def begin_trajectory(table, traj, number, turn):
     """Begin a trajectory at the start of a period, in place, in the mode of this number.
 
-    Its physical state and tangent vectors are set already. A mode is one set of linear equations.
+    Its physical state and tangent vectors are set already. A mode is one set of linear equations. For ``turn``, of the
+    start of the period, see state.harmonics_at.
     """
     clock, indices = traj.clock, traj.indices
     read_number(table.elements, number, traj.states, traj.slips)
     traj.begun[:] = 0
     clock[:] = 0.0
     clock[CLOCK.phase] = table.tau
-    write_harmonics(table.tau, traj.turn)
+    copy_into(traj.turn, turn)
     clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     indices[:] = 0
     indices[INDEX.hit] = -1
@@ -377,7 +380,7 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
     end      the end of its range
     legs     records of legs, see motion.through_modes
     duration duration of the whole trajectory
-    flown    whether traj.flow is the flow over s
+    flown    whether traj.flow is the flow over s, and traj.turn has the force's first harmonic at its end
 
     The event itself follows, see ``strike_soft`` and ``strike_hard``.
     """
@@ -390,19 +393,19 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
     else:
         clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     s = min(s, until - t)
+    known = flown and s == searched
     if indices[INDEX.legs] < legs.shape[0]:
         record_leg(traj, legs, s)
-    fly(pieces, k, s, traj, table.drifts, flown and s == searched)
+    fly(pieces, k, s, traj, table.drifts, known)
     tally[CONTRACTION] -= pieces.trace[k] * s
     if pieces.lost[k] > 0.0:
         count_rest(table.elements, traj.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
     if s > 0.0:
         traj.begun[:] = 0
     t = until if reached < 0 else min(t + s, until)
-    phase = table.tau + table.omega * t
-    clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, phase, 0.0
+    write_harmonics(fma(table.omega, s, clock[CLOCK.phase]), traj.turn, 1 if known else 0)
+    clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, table.tau + table.omega * t, 0.0
     indices[INDEX.hit], indices[INDEX.side] = reached, end
-    write_harmonics(phase, traj.turn)
     leave(pieces, k, h, traj.V, traj.turn, traj.z, traj.W)
     if reached < 0:
         clock[CLOCK.rate], clock[CLOCK.hop] = 0.0, 0.0
@@ -508,14 +511,15 @@ def carry(table, traj, mode):
     """
     indices, pieces = traj.indices, table.pieces
     f, after, k, g = traj.before, traj.after, indices[INDEX.mode], indices[INDEX.hit]
-    if k < 0:
+    soft = is_soft(table, g)
+    if k < 0 or (len(traj.W) == 0 and soft and g % SIGNALS == 0):  # a soft contact reached changes no volume
         return
     right_hand_side(pieces, k, traj.z, traj.turn, after)
     for i in range(len(after)):
         after[i] -= f[i]
         for e in range(len(traj.W)):
             traj.W[e, i] += after[i] * traj.slopes[e]
-    if g >= SIGNALS * len(traj.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
+    if g >= SIGNALS * len(traj.states) or soft:  # det S = 1 + r.(f+ - f-) / r'
         change = row_product(pieces.rows[mode, g], after) / traj.clock[CLOCK.rate]
         if change != 0.0:
             traj.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
@@ -554,7 +558,7 @@ def finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs
     slot            row of the trajectory in ``trajs``, a batch of trajectories
     reached, end    signal that has reached an end of its range, -1 for none, and that end
     contacts, legs  records, see motion.through_modes
-    flown           whether the trajectory's flow is the flow over s
+    flown           whether the trajectory's flow is the flow over s, see ``leave_leg``
 
     Return True if the trajectory is over.
     """

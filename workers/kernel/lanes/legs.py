@@ -59,6 +59,9 @@ class LegFields(NamedTuple):
     side: int  # the end reached, +-1
     step: int  # the least step of all signals
     oscillates: int  # 1 if all blocks are underdamped, else 0
+    length: int  # duration of the leg without an event; LANE.period may be longer, see trajectory.SECTION_WIDTH
+    sin: int  # sine and cosine of the force's first harmonic at LANE.time
+    cos: int
 
 
 LEG_FIELD = LegFields(*(k * STRIDE for k in range(len(LegFields._fields))))
@@ -200,7 +203,7 @@ def move_pass(legs, a, n):
     """
     renewing = 0
     for i in range(n):
-        s, H = a[LANE.time + i], a[LANE.period + i]
+        s, H, length = a[LANE.time + i], a[LANE.period + i], legs[LEG_FIELD.length + i]
         later = s + legs[LEG_FIELD.step + i]
         met = legs[LEG_FIELD.hit + i] >= 0.0
         over = later >= H and not met
@@ -210,7 +213,7 @@ def move_pass(legs, a, n):
         event = REACHED if met else event
         event = OVER if over else event
         legs[LEG_FIELD.event + i] = event
-        a[LANE.time + i] = H if over else later
+        a[LANE.time + i] = length if over else later
         a[LANE.flight_evaluations + i] = count
         renews = count == RENEWAL * math.floor(count * (1.0 / RENEWAL))
         a[LANE.renews + i] = 1.0 if renews else 0.0
@@ -286,7 +289,10 @@ def run_round(records, legs, blocks, harmonics, oscillates, renews, n, lane_list
         a = records[u]
         if u > 0:
             copy_pass(a, first, n)
-        forced_pass(a, n)
+        if u == 0:
+            forced_pass(a, n, legs[LEG_FIELD.sin :])
+        else:
+            forced_pass(a, n, None)
         for w in range(1, harmonics):
             harmonic_pass(a, fields_of_harmonic(a, padded_blocks(blocks), w - 1), w + 1.0, n)
         for j in range(blocks):

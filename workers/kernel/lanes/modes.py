@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from workers.kernel.averages import add_growth
 from workers.kernel.by_reference import by_reference, row_in
 from workers.kernel.hybrid.motion import advance_leg, load_motion, store_motion
+from workers.kernel.hybrid.state import write_harmonics
 from workers.kernel.hybrid.trajectory import (
     CLOCK,
     INDEX,
@@ -55,6 +56,7 @@ class LegSearch(NamedTuple):
     lane_modes (LANES,) index of the mode (set of linear equations) whose constants the lane has, -1 for none
     slots (LANES,)      row of its trajectory in the batch of trajectories
     before (LANES,)     log of the length of the first tangent vector of each trajectory, at the start of the period
+    turns (LANES, H, 2) harmonics of the force at the start of the period of each trajectory, see state.harmonics_at
     gathered            overwritten
     lane_list (LANES,)  overwritten
     scratch (n, 2)      overwritten
@@ -68,6 +70,7 @@ class LegSearch(NamedTuple):
     lane_modes: Rows
     slots: Rows
     before: Array
+    turns: Array
     gathered: Array
     lane_list: NDArray[np.uint32]
     scratch: Array
@@ -103,7 +106,8 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
     U, size = len(signals), record_size.py_func(n, harmonics)
     return LegSearch(
         room_for_vectors.py_func(U * size).reshape((U, size)), room_for_vectors.py_func(LEG_SIZE), signals,
-        *np.zeros((2, LANES), dtype=np.int64), np.arange(LANES), np.zeros(LANES), room_for_vectors.py_func(GAP_SIZE),
+        *np.zeros((2, LANES), dtype=np.int64), np.arange(LANES), np.zeros(LANES),
+        np.zeros((LANES, harmonics, 2)), room_for_vectors.py_func(GAP_SIZE),
         np.empty(LANES, dtype=np.uint32), np.empty((n, 2)), np.empty((0, 0)),
     )  # fmt: skip
 
@@ -134,7 +138,8 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
                 continue
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
-            begin_period(batch, trajs, r, slot, more)
+            write_harmonics(batch.oscillators.table.tau[r], search.turns[slot], 0)
+            begin_period(batch, trajs, search, r, slot, more)
             search.lane_modes[active] = -1
             if turn(batch, trajs, search, r, active, np.int64(BEGINS), np.bool_(False), more):
                 lane_cells[active] = r
@@ -158,6 +163,7 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
             active -= 1
             copy_lane(search.records, active, lane)
             legs[LEG_FIELD.oscillates + lane] = legs[LEG_FIELD.oscillates + active]
+            legs[LEG_FIELD.length + lane] = legs[LEG_FIELD.length + active]
             lane_cells[lane], search.lane_modes[lane] = lane_cells[active], search.lane_modes[active]
             slots[lane], slots[active] = slots[active], slots[lane]
             empty_lane(search.records, active)
@@ -174,7 +180,7 @@ def length_of(batch, r):
 
 
 @kernel
-def begin_period(batch, trajs, r, slot, more):
+def begin_period(batch, trajs, search, r, slot, more):
     """Begin a period of cell r: copy its motion into row ``slot`` of the trajectories ``trajs``.
 
     ``more`` is the number of tangent vectors added in front, for the direction of a drift.
@@ -182,7 +188,7 @@ def begin_period(batch, trajs, r, slot, more):
     oscillators = batch.oscillators
     trip, motion, table = row_in(trajs, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
     load_motion(oscillators.to_physical[r], motion, trip, more)
-    begin_trajectory(table, trip, motion.mode[0])
+    begin_trajectory(table, trip, motion.mode[0], search.turns[slot])
 
 
 @inline_always
@@ -207,23 +213,24 @@ def pass_found(batch, trajs, search, r, slot, i):
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
-    read_flow(search.records, i, row_in(trajs, slot).flow)
+    trip = row_in(trajs, slot)
+    read_flow(search.records, i, trip.flow)
+    trip.turn[0, 0], trip.turn[0, 1] = legs[LEG_FIELD.sin + i], legs[LEG_FIELD.cos + i]
     hits, none = batch.motions.impacts[r], search.none
     return finish_leg(tables, r, trajs, slot, s, reached, end, period, hits, none, np.bool_(True))
 
 
 @kernel
-def end_period(batch, trajs, r, slot, ending, before, more):
+def end_period(batch, trajs, search, r, slot, ending, more):
     """Copy the trajectory of cell r back into its motion at the end of a period, and begin the next period.
 
     slot    row of the trajectory
     ending  True to begin no other period
-    before  (LANES,) log of the length of the first tangent vector at the start of the period
     more    number of tangent vectors added in front, for the direction of a drift
 
     Return True if a next period has begun.
     """
-    oscillators, periods, completed = batch.oscillators, batch.periods, batch.completed
+    oscillators, periods, completed, before = batch.oscillators, batch.periods, batch.completed, search.before
     motion, trip, k = row_in(batch.motions, r), row_in(trajs, slot), completed[r]
     table = oscillators.table
     store_motion(oscillators.to_blocks[r], table.omega[r], motion, trip, more, table.drifts[r] > 0.0)
@@ -235,7 +242,7 @@ def end_period(batch, trajs, r, slot, ending, before, more):
     completed[r] = k + 1
     if ending or is_finished(r, completed, periods, batch.motions.tally):
         return False
-    begin_period(batch, trajs, r, slot, more)
+    begin_period(batch, trajs, search, r, slot, more)
     return True
 
 
@@ -259,7 +266,7 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
         else:
             through = pass_found(batch, trajs, search, r, slot, i)
     while True:
-        if through and tally[STATUS] == RUNNING and not end_period(batch, trajs, r, slot, ending, search.before, more):
+        if through and tally[STATUS] == RUNNING and not end_period(batch, trajs, search, r, slot, ending, more):
             return False
         clock[CLOCK.horizon] = begin_leg(table, trip, 2.0 * np.pi / table.omega)
         if tally[STATUS] != RUNNING:
@@ -272,6 +279,7 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
     if search.lane_modes[i] != k:
         smooth = load_mode(records, i, table.pieces, signals, k, table.omega)
         search.legs[LEG_FIELD.oscillates + i], search.lane_modes[i] = 1.0 if smooth else 0.0, k
+    search.legs[LEG_FIELD.length + i] = clock[CLOCK.until] - clock[CLOCK.time]
     load_leg(records, i, signals, trip.h, clock[CLOCK.phase], trip.turn, trip.begun, clock[CLOCK.horizon])
     return True
 
