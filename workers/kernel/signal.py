@@ -23,12 +23,6 @@ def forced(phase, w, sin_part, cos_part):
     sin_part, cos_part  amplitudes of its sine and cosine
     """
     sin, cos = sin_cos(phase)
-    return forced_at(sin, cos, w, sin_part, cos_part)
-
-
-@inlined
-def forced_at(sin, cos, w, sin_part, cos_part):
-    """Return ``forced``, the contribution of a harmonic of the force to a signal, for this sine and cosine of it."""
     y, v = fma(sin_part, sin, cos_part * cos), w * fma(sin_part, cos, -cos_part * sin)
     return y, v, -w * w * y, -w * w * v
 

@@ -131,6 +131,6 @@ def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
         graded_flow(blocks, s, U, growth, triangle, 2 * n - 2)
     else:
         flow_with_tangent(blocks, s, u, U)
-    write_harmonics(phase + numbers[NUMBER.omega] * s, turn, 0)
+    write_harmonics(phase + numbers[NUMBER.omega] * s, turn)
     from_sticking(oscillator, u, U, turn, side, z, W, h, V)
     return s, abs(crossed), evaluations

@@ -130,7 +130,7 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
             at, weight = since + 0.5 * step * (1.0 + NODES[g]), 0.5 * step * WEIGHTS[g]
             copy_into(block_state, h)
             flow(blocks, at, block_state)
-            write_harmonics(phase + table.omega * at, turn, 0)
+            write_harmonics(phase + table.omega * at, turn)
             leave(pieces, k, block_state, nothing, turn, z, flat)
             if accelerates:
                 right_hand_side(pieces, k, z, turn, f)

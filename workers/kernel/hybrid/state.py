@@ -85,9 +85,9 @@ def slot_of(codes, number):
 
 
 @inlined
-def write_harmonics(phase, harmonics, first):
-    """Write sine and cosine of each harmonic of the force from ``first`` on, at a phase, to ``harmonics`` (H, 2)."""
-    for w in range(first, len(harmonics)):
+def write_harmonics(phase, harmonics):
+    """Write sine and cosine of each harmonic of the force at a phase to ``harmonics`` (H, 2)."""
+    for w in range(len(harmonics)):
         harmonics[w, 0], harmonics[w, 1] = sin_cos((w + 1.0) * phase)
 
 
@@ -95,7 +95,7 @@ def write_harmonics(phase, harmonics, first):
 def harmonics_at(phase, harmonics):
     """Return sine and cosine (H, 2) of this number of harmonics of the force at a phase."""
     turn = np.empty((harmonics, 2))
-    write_harmonics(phase, turn, 0)
+    write_harmonics(phase, turn)
     return turn
 
 

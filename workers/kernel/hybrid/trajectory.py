@@ -17,7 +17,6 @@ from workers.kernel.crossing import TINY
 from workers.kernel.elementary import log
 from workers.kernel.external import FLOATS, INTEGERS, external
 from workers.kernel.flow import flow, flow_block, flow_vectors
-from workers.kernel.fma import fma
 from workers.kernel.hybrid.events import (
     ENDLESS,
     MISSING,
@@ -380,7 +379,7 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
     end      the end of its range
     legs     records of legs, see motion.through_modes
     duration duration of the whole trajectory
-    flown    whether traj.flow is the flow over s, and traj.turn has the force's first harmonic at its end
+    flown    whether traj.flow is the flow over s
 
     The event itself follows, see ``strike_soft`` and ``strike_hard``.
     """
@@ -393,19 +392,19 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
     else:
         clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     s = min(s, until - t)
-    known = flown and s == searched
     if indices[INDEX.legs] < legs.shape[0]:
         record_leg(traj, legs, s)
-    fly(pieces, k, s, traj, table.drifts, known)
+    fly(pieces, k, s, traj, table.drifts, flown and s == searched)
     tally[CONTRACTION] -= pieces.trace[k] * s
     if pieces.lost[k] > 0.0:
         count_rest(table.elements, traj.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
     if s > 0.0:
         traj.begun[:] = 0
     t = until if reached < 0 else min(t + s, until)
-    write_harmonics(fma(table.omega, s, clock[CLOCK.phase]), traj.turn, 1 if known else 0)
-    clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, table.tau + table.omega * t, 0.0
+    phase = table.tau + table.omega * t
+    clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, phase, 0.0
     indices[INDEX.hit], indices[INDEX.side] = reached, end
+    write_harmonics(phase, traj.turn)
     leave(pieces, k, h, traj.V, traj.turn, traj.z, traj.W)
     if reached < 0:
         clock[CLOCK.rate], clock[CLOCK.hop] = 0.0, 0.0
@@ -558,7 +557,7 @@ def finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs
     slot            row of the trajectory in ``trajs``, a batch of trajectories
     reached, end    signal that has reached an end of its range, -1 for none, and that end
     contacts, legs  records, see motion.through_modes
-    flown           whether the trajectory's flow is the flow over s, see ``leave_leg``
+    flown           whether the trajectory's flow is the flow over s
 
     Return True if the trajectory is over.
     """

@@ -60,8 +60,6 @@ class LegFields(NamedTuple):
     step: int  # the least step of all signals
     oscillates: int  # 1 if all blocks are underdamped, else 0
     length: int  # duration of the leg without an event; LANE.period may be longer, see trajectory.SECTION_WIDTH
-    sin: int  # sine and cosine of the force's first harmonic at LANE.time
-    cos: int
 
 
 LEG_FIELD = LegFields(*(k * STRIDE for k in range(len(LegFields._fields))))
@@ -289,10 +287,7 @@ def run_round(records, legs, blocks, harmonics, oscillates, renews, n, lane_list
         a = records[u]
         if u > 0:
             copy_pass(a, first, n)
-        if u == 0:
-            forced_pass(a, n, legs[LEG_FIELD.sin :])
-        else:
-            forced_pass(a, n, None)
+        forced_pass(a, n)
         for w in range(1, harmonics):
             harmonic_pass(a, fields_of_harmonic(a, padded_blocks(blocks), w - 1), w + 1.0, n)
         for j in range(blocks):

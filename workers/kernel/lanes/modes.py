@@ -138,7 +138,7 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
                 continue
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
-            write_harmonics(batch.oscillators.table.tau[r], search.turns[slot], 0)
+            write_harmonics(batch.oscillators.table.tau[r], search.turns[slot])
             begin_period(batch, trajs, search, r, slot, more)
             search.lane_modes[active] = -1
             if turn(batch, trajs, search, r, active, np.int64(BEGINS), np.bool_(False), more):
@@ -213,9 +213,7 @@ def pass_found(batch, trajs, search, r, slot, i):
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
-    trip = row_in(trajs, slot)
-    read_flow(search.records, i, trip.flow)
-    trip.turn[0, 0], trip.turn[0, 1] = legs[LEG_FIELD.sin + i], legs[LEG_FIELD.cos + i]
+    read_flow(search.records, i, row_in(trajs, slot).flow)
     hits, none = batch.motions.impacts[r], search.none
     return finish_leg(tables, r, trajs, slot, s, reached, end, period, hits, none, np.bool_(True))
 

@@ -113,7 +113,7 @@ def run_round(a, blocks, harmonics, oscillates, renews, n, lane_list, c):
         renewal_pass(a, blocks, oscillates, n)
     safe_steps(a, n, lane_list, c)
     step_pass(a, n)
-    forced_pass(a, n, None)
+    forced_pass(a, n)
     for k in range(harmonics):
         harmonic_pass(a, fields_of_harmonic(a, padded_blocks(blocks), k), k + 2.0, n)
     for j in range(blocks):

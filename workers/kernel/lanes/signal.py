@@ -5,12 +5,11 @@ over the harmonics of the force and over blocks, the decoupled equations of moti
 ``q`` those of one block, see ``layout.py``.
 """
 
-from workers.kernel.elementary import sin_cos
 from workers.kernel.flow import fall, flow_entries, oscillating_flow
 from workers.kernel.fma import fma
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.lanes.layout import BLOCK, BLOCK_SIZE, HARMONIC, HARMONIC_SIZE, LANE, LANE_SIZE, STRIDE
-from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, forced, forced_at, loaded_output
+from workers.kernel.lanes.layout import BLOCK, BLOCK_SIZE, HARMONIC, HARMONIC_SIZE, LANE, LANE_SIZE
+from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, forced, loaded_output
 
 
 @kernel
@@ -30,19 +29,16 @@ def fields_of_harmonic(a, blocks, k):
 
 
 @kernel
-def forced_pass(a, n, turn):
+def forced_pass(a, n):
     """Set the gap coordinate of each of n cells, with its derivatives, to the part of the force's first harmonic.
 
     The time is LANE.time. Contributions of other harmonics and of blocks, the decoupled equations, are added
-    afterwards. Sine and cosine of the harmonic are written to ``turn`` (2 STRIDE,) unless it is None.
+    afterwards.
     """
     for i in range(n):
         w = a[LANE.omega + i]
         phase = fma(w, a[LANE.time + i], a[LANE.flight_phase + i])
-        sin, cos = sin_cos(phase)
-        y, v, second, third = forced_at(sin, cos, w, a[LANE.sin_part + i], a[LANE.cos_part + i])
-        if turn is not None:
-            turn[i], turn[STRIDE + i] = sin, cos
+        y, v, second, third = forced(phase, w, a[LANE.sin_part + i], a[LANE.cos_part + i])
         a[LANE.forced + i] = y
         a[LANE.forced_rate + i] = v
         a[LANE.forced_second + i] = second
