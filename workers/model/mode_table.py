@@ -49,9 +49,9 @@ class ContactElements(NamedTuple):
     friction_kick      (N, F, n) as kick, of each friction's row
     static_is_kinetic  (N, P, F, 2) 1 if static = kinetic, else 0, for v < 0 and v > 0
     along              (N, F, C) the factor a if a friction's row is a times a contact's row, else 0
+    turned             (N, C) see ``_turned``
     depths             (N, C, 2, S) starts of the segments of contact laws, infinite if missing
     speeds             (N, F, 2, S') starts of the segments of friction laws, infinite if missing
-    turned             (N, C) see ``_turned``
     """
 
     row: Array
@@ -67,9 +67,9 @@ class ContactElements(NamedTuple):
     along: Array
     starts: Array
     counted: Array
+    turned: Array
     depths: Array
     speeds: Array
-    turned: Array
 
 
 def elements_of(machines: HybridMachines) -> ContactElements:
@@ -80,10 +80,8 @@ def elements_of(machines: HybridMachines) -> ContactElements:
         pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]
         return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
 
-    kick, weight = (
-        along(machines.row),
-        1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0]),
-    )
+    kick = along(machines.row)
+    weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
     even = np.ascontiguousarray(
         (machines.friction_constants[..., 0] == machines.friction_constants[..., 1]).astype(np.float64)
     )
@@ -91,8 +89,8 @@ def elements_of(machines: HybridMachines) -> ContactElements:
         machines.row, kick, weight, machines.stops, machines.R, machines.soft,
         machines.friction_rows, along(machines.friction_rows), machines.belt, even, along_contacts(machines),
         machines.starts,
-        machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
-        _turned(machines, kick),
+        machines.counted, _turned(machines, kick),
+        *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
     )  # fmt: skip
 
 
@@ -161,7 +159,7 @@ class ModeTable(NamedTuple):
         return rows
 
 
-_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 4, 4, 2])
+_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 2, 4, 4])
 _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 """Number of axes of each field of a ModeTable, for many machines."""
 

@@ -106,7 +106,7 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
     U, size = len(signals), record_size.py_func(n, harmonics)
     return LegSearch(
         room_for_vectors.py_func(U * size).reshape((U, size)), room_for_vectors.py_func(LEG_SIZE), signals,
-        *np.zeros((2, LANES), dtype=np.int64), np.arange(LANES), np.zeros(LANES),
+        np.zeros(LANES, dtype=np.int64), np.zeros(LANES, dtype=np.int64), np.arange(LANES), np.zeros(LANES),
         np.zeros((LANES, harmonics, 2)), room_for_vectors.py_func(GAP_SIZE),
         np.empty(LANES, dtype=np.uint32), np.empty((n, 2)), np.empty((0, 0)),
     )  # fmt: skip
