@@ -321,9 +321,9 @@ def _skew(to_blocks: Array, to_physical: Array, metric: Array, omega: Array) -> 
     (N, n), one = metric.shape, np.ones_like(metric)
     energy = np.stack([np.sqrt(metric), one], axis=2).reshape(N, 2 * n)
     speed = np.concatenate([one * omega[:, None], one], axis=1)
-    there = np.sum((to_blocks * energy[:, :, None] / speed[:, None]) ** 2, axis=(1, 2))
-    back = np.sum((to_physical * speed[:, :, None] / energy[:, None]) ** 2, axis=(1, 2))
-    return np.asarray(np.arccosh(np.maximum(0.5 * (np.sqrt(there * back) - (2 * n - 2)), 1.0)))
+    to_energy = np.sum((to_blocks * energy[:, :, None] / speed[:, None]) ** 2, axis=(1, 2))
+    from_energy = np.sum((to_physical * speed[:, :, None] / energy[:, None]) ** 2, axis=(1, 2))
+    return np.asarray(np.arccosh(np.maximum(0.5 * (np.sqrt(to_energy * from_energy) - (2 * n - 2)), 1.0)))
 
 
 def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
