@@ -1,7 +1,7 @@
 """The command ``atlas`` for tests that run it a hundred times, without a hundred times the imports.
 
-A server has imported the libraries and nothing else: no thread, no loop, no kernel. Each command is a child forked from
-it, with folder, environment and output of who called. What a command imports beyond the libraries it imports itself.
+A server has imported the libraries and the solver and nothing else: no thread, no loop, no kernel. Each command is a
+child forked from it, with folder, environment and output of who called. What a command needs beyond it imports itself.
 Where a command would start a local cluster it has one in the test's process, which all of them share.
 """
 
@@ -29,7 +29,7 @@ from tests.paths import ROOT
 LIBRARIES = (
     "numpy", "scipy.linalg", "scipy.ndimage", "scipy.spatial", "scipy.stats", "numba.np.arraymath", "numba.typed",
     "pandas", "xarray", "zarr.storage", "dask.array", "distributed", "matplotlib.figure", "contourpy",
-    "matplotlib.backends.backend_agg", "rich.progress", "atlas.cli.main",
+    "matplotlib.backends.backend_agg", "rich.progress", "atlas.cli.main", "workers.tile",
 )  # fmt: skip
 SERVE = [sys.executable, "-c", "import sys; from tests.cli_runner import serve; serve(sys.argv[1])"]
 """The main module has no file, which workers of a cluster would run."""
