@@ -9,7 +9,6 @@ import atexit
 import gc
 import json
 import os
-import runpy
 import select
 import shlex
 import signal
@@ -119,7 +118,7 @@ def run(caller: socket.socket, files: list[int], code: list[int]) -> None:
     try:
         if sys.argv[1].endswith(".py"):
             warnings.simplefilter("error")
-            runpy.run_path(sys.argv[1], run_name="__main__")
+            exec(compile(Path(sys.argv[1]).read_text(), sys.argv[1], "exec"), vars(sys.modules["__main__"]))
             code[0] = 0
         else:
             import_module("atlas.cli.main").main()
