@@ -170,7 +170,8 @@ def test_what_a_page_shows_can_be_run_as_it_stands(
         else:
             (folder / f"block{number}.py").write_text(text)
             starts_processes = re.search(r"atlas\.(run|extend|retry|find_|label_|measure_)|Cluster", text)
-            python = [sys.executable, "-W", "error"] if starts_processes else [str(forked)]
+            new = page.name == "README.md" or starts_processes
+            python = [sys.executable, "-W", "error"] if new else [str(forked)]
             run([*python, f"block{number}.py"], folder)
     for line in for_each_name(page):
         run(["sh", "-eu", "-c", line], folder)
