@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from atlas import render
 from atlas.render.kinds import KIND_TABLE
 from atlas.render.layout import STANDARD
-from atlas.render.painters import draw
+from atlas.render.maps import draw
 from atlas.render.request import PictureRequest
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
@@ -21,9 +19,10 @@ from atlas.query.attractors import select_dominant
 from atlas.query.compare import check_same_axis
 from atlas.query.plane import CoordinateInfo, PlaneAxis, sort_axes
 from atlas.query.window import spec_of_axis
-from atlas.render import class_maps, raster, style, text
+from atlas.render import class_maps, looks, raster, style, text
 from atlas.render.kinds import KIND_TABLE
 from atlas.render.layout import STANDARD, FigureLayout
+from atlas.render.looks import Entry, LineLook, MarkLook
 from atlas.render.outlines import interleave_exponents
 from atlas.render.plotted_values import PlottedValues, shown_label
 from atlas.render.request import PictureRequest
@@ -45,11 +44,11 @@ INTERVAL = ("share_low", "share_high")
 """Names of the variables with the limits of the 95 % interval of a share; a legend gives its largest width."""
 _POINT = 2.0
 """Minimum diameter of a point, in points of the page: still visible on white."""
-INK = "#1a1a1a"
-"""Colour of branches."""
-DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
-"""Line styles of the stable (True) and the unstable (False) parts of a branch."""
-_WIDTHS = {True: 1.1, False: 0.6}
+ORBITS = {
+    True: LineLook("stable orbit", "#1a1a1a"),
+    False: LineLook("unstable orbit", "#1a1a1a", (3.2, 1.4), 0.6),
+}
+"""Looks of the stable (True) and the unstable (False) parts of a branch."""
 _MARKER = 3.6
 """Size of an event's marker in points."""
 _HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
@@ -75,12 +74,12 @@ def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """
     KIND_TABLE["spectrum"].require(ds, [SPECTRUM.name])
     numbers = range(ds[SPECTRUM.name].shape[-1])
-    entries = [Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$") for i in numbers]
+    entries = [LineLook(rf"$\lambda_{{{i + 1}}}$", color_of(i), width=1.5) for i in numbers]
     return _of_one(ds, request, {SPECTRUM.name: _draw_spectrum}, entries)
 
 
 def _of_one(
-    ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
+    ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Entry] = ()
 ) -> Figure:
     """Return the figure of one sweep: a bifurcation diagram above a plot of its exponents.
 
@@ -129,7 +128,7 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
 
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
-    legend: list[Artist] = [_dot(color, _direction(cells, x.name), size) for color, cells, size in sweeps]
+    legend: list[Entry] = [_dot(color, _direction(cells, x.name), size) for color, cells, size in sweeps]
     return stack(ds, (first, x), panels, legend, request, plotted_values)
 
 
@@ -149,18 +148,15 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
     }
     ends = [name for name in INTERVAL if name in ds]
     read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])])
-    regime, entries = read[0][REGIME.name].values, list[Artist]()
+    regime, entries = read[0][REGIME.name].values, list[Entry]()
     if known is not None:
         label = read[0][LABEL.name].values
-        entries, regime = (
-            [entry.to_artist() for entry in class_maps.branch_entries(known, label, ink=True)],
-            regime[label < 0],
-        )
+        entries, regime = [*class_maps.branch_entries(known, label, ink=True)], regime[label < 0]
     entries += regime_legend(regime, read[0])
     if ends:
         low, high = (read[0][end].values for end in ends)
         reach = float(np.nanmax(high - low, initial=0.0)) / 2.0
-        entries.append(Line2D([], [], linestyle="", label=f"shares: 95 % interval\nwithin ± {reach:.2f}"))
+        entries.append(f"shares: 95 % interval\nwithin ± {reach:.2f}")
     return stack(ds, read, panels, entries, request, plotted_values)
 
 
@@ -197,7 +193,7 @@ def stack(
     ds: xr.Dataset,
     read: tuple[xr.Dataset, PlaneAxis],
     panels: Mapping[str, Panel],
-    legend: Sequence[Artist],
+    legend: Sequence[Entry],
     request: PictureRequest,
     plotted_values: PlottedValues | None = None,
 ) -> Figure:
@@ -242,7 +238,7 @@ def _panel_of_points(plotted_values: PlottedValues) -> Panel:
         regime, values = ds[REGIME.name].values, plotted_values.values(ds, x)
         for code in np.unique(regime[regime != PENDING]):
             least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
-            draw_points(ax, x, values, style.INK[int(code)], point_size(x, least, layout), cells=regime == code)
+            draw_points(ax, x, values, looks.INK[int(code)], point_size(x, least, layout), cells=regime == code)
 
     return draw
 
@@ -327,7 +323,7 @@ def _groups(attractor: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[N
     regime = attractor[REGIME.name].values
     label = attractor[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
-        yield (regime == code) & (label < 0), style.INK[int(code)]
+        yield (regime == code) & (label < 0), looks.INK[int(code)]
     colors = np.array(class_maps.branch_colors(known, ink=True) if known is not None else [], dtype=str)
     for color in np.unique(colors[label[label >= 0]]):
         yield (label >= 0) & (colors[np.maximum(label, 0)] == color), str(color)
@@ -344,21 +340,21 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
     ax.set_ylabel(f"{label}\n{note}" if lost.any() else label)
 
 
-def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> list[Artist]:
+def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> list[Entry]:
     """Draw branches of orbits and their mirror images, with their events, and return the legend entries."""
-    lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Artist]()
-    for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
-        segments, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
+    lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Entry]()
+    for stable, usual in ORBITS.items():
+        look = usual._replace(width=usual.width * layout.scale)
+        segments = [one for holds, one in lines if holds is stable]
         if segments:
-            look = {"color": INK, "linewidth": width * layout.scale, "linestyle": dashes}
-            ax.add_collection(LineCollection(segments, zorder=4, **look))
-            entries.append(Line2D([], [], label=label, **look))
-    for kind, event in style.EVENT_STYLES.items():
+            ax.add_collection(LineCollection(segments, zorder=4, **style.line(look)))
+            entries.append(look)
+    for kind, event in looks.EVENT_STYLES.items():
         at = [point for mark, point in places if mark == kind]
         if at:
-            mark = style.mark(event.marker, _MARKER * layout.scale, event.color, "white", 0.5) | {"label": event.label}
-            ax.plot(*np.concatenate(at).T, zorder=5, **mark)
-            entries.append(Line2D([], [], **mark))
+            mark = MarkLook(event.label, event.marker, _MARKER * layout.scale, event.color, "white", 0.5)
+            ax.plot(*np.concatenate(at).T, zorder=5, **style.mark(mark))
+            entries.append(mark)
     ax.autoscale_view()
     return entries
 
@@ -401,15 +397,15 @@ def _values(ds: xr.Dataset, x: PlaneAxis, name: str, plotted_values: PlottedValu
     )
 
 
-def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:
+def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Entry]:
     """Return legend entries for the regimes that occur among the points of a sweep."""
     regimes = text.regime(ds)
     codes = np.unique(regime[regime != PENDING]).tolist()
-    return [_dot(style.INK[code], regimes.meaning(code).text, 4.0) for code in codes]
+    return [_dot(looks.INK[code], regimes.meaning(code).text, 4.0) for code in codes]
 
 
-def _dot(color: str, label: str, size: float) -> Line2D:
-    return Line2D([], [], linestyle="", marker="o", markersize=size, color=color, label=label)
+def _dot(color: str, label: str, size: float) -> MarkLook:
+    return MarkLook(label, "o", size, color, color, 1.0)
 
 
 def _direction(ds: xr.Dataset, name: str) -> str:
