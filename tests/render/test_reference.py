@@ -26,6 +26,7 @@ def test_every_kind_of_picture_is_described() -> None:
     assert set(SHOWN) == set(PICTURES) == {*render.KINDS, *NUMBERS, "portrait"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_picture_shows_what_it_did(name: str) -> None:
     assert differences(name, described(PICTURES[name]())) == []
