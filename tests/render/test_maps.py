@@ -75,23 +75,10 @@ def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     assert cells[regime == PENDING][0, 3] == 0
 
 
-@pytest.mark.parametrize("kind", MAPS)
-def test_invalid_and_failed_cells_are_textured_in_every_map(kind: str) -> None:
-    textures = {patch.get_hatch() for patch in map_of_plane(kind).axes[0].patches}
-    assert textures >= {"\\\\\\\\", "xxxx"}
-
-
 @pytest.mark.parametrize("kind", ["period", "exponent"])
 def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, kind: str) -> None:
     path = render.render(plane(), tmp_path / "map.png", kind)
     assert pixel(path, render.figure(plane(), kind), 3.5, 0.1) == colour(UNDETERMINED)[:3]
-
-
-@pytest.mark.parametrize("kind", MAPS)
-def test_every_map_has_its_axes_with_symbols_and_the_fixed_parameters(kind: str) -> None:
-    ax = map_of_plane(kind).axes[0]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$", "clearance $b$")
-    assert "$R = 0.8$" in ax.get_title(loc="left")
 
 
 @pytest.mark.parametrize("kind", MAPS)
@@ -249,9 +236,6 @@ def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() ->
     assert tuple(drawn(figure)[4, 1]) == colour(CHAOTIC)
     assert "chaotic" in labels(figure)
     assert "chaotic" not in labels(render.figure(plane(), "combined"))
-
-
-# Symmetry
 
 
 # Error, cost, sticking
