@@ -18,12 +18,12 @@ from atlas.query.extremes import numbers_of_cells
 from atlas.query.plane import Plane
 from atlas.render import looks, text
 from atlas.render.kinds import BASINS, KIND_TABLE, LABELS, LOGARITHM, MAPS, NUMBER, SCALAR
-from atlas.render.layers import MARKED, CellStyle, MapLayers, MapView, ScalarLayer
+from atlas.render.layers import MARKED, CellStyle, HatchLayer, MapLayers, MapView, ScalarLayer
 from atlas.render.layout import STANDARD
 from atlas.render.looks import LegendEntry
 from atlas.render.painters import layers_of
 from atlas.render.request import PictureRequest
-from workers.results import NO_IMPACT
+from workers.results import PENDING
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,9 @@ def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
 
     ``ds`` is the dataset of the whole atlas, with its attributes.
     """
-    stored_kinds = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
-    kinds = [
-        name for name in stored_kinds if not (name == LABELS and BASINS in stored_kinds)
-    ]  # these labels are of initial states
+    kinds = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
+    if {BASINS, LABELS} <= {*kinds}:
+        kinds.remove(LABELS)  # these labels are of initial states
     for name in (*kinds, *(f"{NUMBER}{variable}" for variable in numbers_of_cells(seen))):
         with suppress(InputError):  # this machine has no such map
             yield coded_map(ds, seen, name)
@@ -143,14 +142,8 @@ def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]
     0 is no hatch; k is entry k - 1 of the list, which gives pattern and colour.
     """
     numbers, patterns = np.zeros(layers.codes.shape, np.int64), []
-    regimes = [code for code in looks.HATCH if code != NO_IMPACT]  # hatched where colours hide
-    textures = [
-        (layers.as_regime(code), looks.HATCH[code], looks.HATCH_INK.get(code, looks.TEXTURE)) for code in regimes
-    ]
-    for cells, hatch, ink in [
-        *textures,
-        *((texture.cells, texture.hatch, texture.hatch_color) for texture in layers.textures),
-    ]:
+    pending = HatchLayer(layers.as_regime(PENDING), looks.HATCH[PENDING], looks.HATCH_INK[PENDING])
+    for cells, hatch, ink, *_ in [pending, *layers.textures]:
         if cells.any():
             patterns.append({"hatch": hatch[0], "ink": ink})
             numbers[cells] = len(patterns)

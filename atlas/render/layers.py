@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from atlas.query.plane import Cells, Plane
 from atlas.query.resample import read_view
 from atlas.render.kinds import PictureKind
-from atlas.render.looks import LegendEntry, LineLook, MarkLook, ink_on, rgb
+from atlas.render.looks import HATCH, HATCH_INK, LegendEntry, LineLook, MarkLook, ink_on, rgb
 from atlas.render.request import PictureRequest
 from atlas.render.scales import Scale
 from atlas.store.schema import REGIME_COLORS
-from workers.results import FAILED, INVALID, PENDING, REGIMES, UNDETERMINED
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIMES, UNDETERMINED
 
 if TYPE_CHECKING:
     from atlas.render.layout import FigureLayout
@@ -28,6 +28,8 @@ Colors = NDArray[np.uint8]
 Class: TypeAlias = tuple[Cells, str, str]
 """A class of cells: mask (y, x), colour and name."""
 
+COVERED = tuple(code for code in HATCH if code not in (PENDING, NO_IMPACT))
+"""Regimes with a hatch over their colour; the hatch of pending cells lies below them."""
 MARKED = (UNDETERMINED, INVALID, FAILED)
 """Regimes whose cells are marked where they are too small to be seen."""
 
@@ -228,6 +230,7 @@ def build_layers(
     scalar: ScalarLayer | None = None,
     numbered: tuple[NDArray[np.int64], Sequence[str]] | None = None,
     legend: Sequence[LegendEntry] = (),
+    textures: Sequence[HatchLayer] = (),
     **others: Any,
 ) -> MapLayers:
     """Return the layers of a map of cells (y, x): classes cover numbers, and numbers cover numbered cells.
@@ -237,6 +240,7 @@ def build_layers(
     scalar    numbers that are coloured by a colormap
     numbered  index (y, x) of each cell's colour, -1 for none, and the list of colours
     legend    entries before those of the classes
+    textures  hatches over those of the regimes
     others    further fields of ``MapLayers``
     """
     number, colors = (np.full(regime.shape, -1), ()) if numbered is None else numbered
@@ -249,14 +253,16 @@ def build_layers(
             codes[cells] = len(looks)
             looks.append(CellStyle(color))
             entries.append(LegendEntry(color, name))
-    rest = codes < 0
+    rest, hatches = codes < 0, list[HatchLayer]()
     for entry in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending comes last in the legend
         cells = rest & (regime == entry.code)
         codes[cells] = len(looks)
         looks.append(CellStyle(REGIME_COLORS[entry.code], regime=entry.code))
         entries += [LegendEntry.from_regime(entry.code)] if cells.any() else []
+        if entry.code in COVERED and cells.any():
+            hatches.append(HatchLayer(cells, HATCH[entry.code], HATCH_INK[entry.code]))
     codes[codes < 0] = len(looks) - 1
-    return MapLayers(codes, looks, entries, scalar, **others)
+    return MapLayers(codes, looks, entries, scalar, [*hatches, *textures], **others)
 
 
 def paint(layers: MapLayers) -> Colors:

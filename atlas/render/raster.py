@@ -19,7 +19,7 @@ from atlas.render.layers import MARKED, MapLayers, paint
 from atlas.render.layout import FigureLayout
 from atlas.render.outlines import borders, row_rectangles, small_regions
 from atlas.store.schema import REGIME_COLORS
-from workers.results import NO_IMPACT, PENDING, UNDETERMINED
+from workers.results import PENDING
 
 VISIBLE = 2.0
 """Size in points below which a single cell is invisible."""
@@ -28,15 +28,14 @@ MAX_MARKS = 300
 
 More cells are visible as a cloud anyway.
 """
-_WITH_TEXTURE = [code for code in looks.HATCH if code not in (PENDING, NO_IMPACT)]
 
 
 def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> set[int]:
     """Draw the cells of a map from edge to edge, as pixels also in vector files.
 
     Return the codes of the regimes whose tiny cells were enlarged by marks. Cells of equal size are drawn as an image,
-    others as quadrilaterals. Colours are never blended between cells. A cell in the colour of its regime has the
-    regime's hatch. Cells without a result that would be invisible get a mark of visible size.
+    others as quadrilaterals. Colours are never blended between cells. Cells without a result that would be invisible get
+    a mark of visible size.
     """
     x, y = plane.x, plane.y
     # Pending cells are transparent and show this hatch.
@@ -47,14 +46,10 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) 
     else:
         ax.pcolormesh(x.edges, y.edges, paint(layers), rasterized=True)
     scale_axes(ax, x=x, y=y)
-    enlarged = set[int]()
-    for code in (*_WITH_TEXTURE, UNDETERMINED):
-        regime_cells = layers.as_regime(code)
-        if code in _WITH_TEXTURE:
-            hatch(ax, plane, regime_cells, looks.HATCH[code], looks.HATCH_INK[code])
-        if code in MARKED and _mark_small(ax, plane, regime_cells, REGIME_COLORS[code], layout.map_size):
-            enlarged.add(code)
-    return enlarged
+    marked = {
+        code: _mark_small(ax, plane, layers.as_regime(code), REGIME_COLORS[code], layout.map_size) for code in MARKED
+    }
+    return {code for code, is_marked in marked.items() if is_marked}
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
