@@ -34,8 +34,8 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) 
     """Draw the cells of a map from edge to edge, as pixels also in vector files.
 
     Return the codes of the regimes whose tiny cells were enlarged by marks. Cells of equal size are drawn as an image,
-    others as quadrilaterals. Colours are never blended between cells. Cells without a result that would be invisible get
-    a mark of visible size.
+    others as quadrilaterals. Colours are never blended between cells. Cells without a result that would be invisible
+    get a mark of visible size.
     """
     x, y = plane.x, plane.y
     # Pending cells are transparent and show this hatch.
@@ -46,10 +46,8 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) 
     else:
         ax.pcolormesh(x.edges, y.edges, paint(layers), rasterized=True)
     scale_axes(ax, x=x, y=y)
-    marked = {
-        code: _mark_small(ax, plane, layers.as_regime(code), REGIME_COLORS[code], layout.map_size) for code in MARKED
-    }
-    return {code for code, is_marked in marked.items() if is_marked}
+    size = layout.map_size
+    return {code for code in MARKED if _mark_small(ax, plane, layers.as_regime(code), REGIME_COLORS[code], size)}
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
