@@ -87,14 +87,13 @@ def _of_one(
     InputError if there is nothing to draw.
     """
     plotted_values = PlottedValues.resolve(request.observe, ds)
-    panels = ({} if plotted_values is None else {plotted_values.name: _panel_of_points(plotted_values)}) | dict(
+    panels = ({} if plotted_values is None else {plotted_values.name: _panel_of_points(plotted_values.name)}) | dict(
         exponents
     )
     if not panels:
         raise InputError("kind 'sweep' needs 'section' or 'largest', and this atlas has neither; see section_samples")
-    more = () if plotted_values is None else plotted_values.reads
     errors = names_with_values([ERROR.name], ds) if LARGEST.name in panels else []  # other atlases may lack error bars
-    read = line(ds, [*panels, *more, *errors])
+    read = line(ds, [*panels, *errors], plotted_values)
     regimes = [] if [*panels] == [SPECTRUM.name] else regime_legend(read[0][REGIME.name].values, read[0])
     notes = [] if plotted_values is None else plotted_values.notes(read[0])
     return stack(ds, read, panels, [*regimes, *entries, *notes], request, plotted_values)
@@ -113,15 +112,13 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     names = ([] if plotted_values is None else [plotted_values.name]) + names_with_values([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' needs 'section' or 'largest' in both atlases; found neither in both")
-    (first, x), (second, _) = (
-        line(ds, names if plotted_values is None else [*names, *plotted_values.reads]) for ds in atlases
-    )
+    (first, x), (second, _) = (line(ds, names, plotted_values) for ds in atlases)
 
     def panel(ax: Axes, name: str) -> None:
         # The second sweep is smaller and on top, so that both are visible if they agree.
         for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
             size = point_size(x, _FEW, request.page) * larger
-            draw_points(ax, x, _values(cells, x, name, plotted_values), color, size, zorder=zorder)
+            draw_points(ax, x, cells[name].values, color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
             ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
@@ -143,11 +140,9 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
     known = branches_of(ds) if LABEL.name in ds else None
     plotted_values = PlottedValues.resolve(request.observe, ds)
     names = names_with_values([LARGEST.name], ds) if plotted_values is None else [plotted_values.name]
-    panels = {name: _panel_of_attractors(name, known, plotted_values) for name in names} | {
-        "share": _panel_of_shares(known)
-    }
+    panels = {name: _panel_of_attractors(name, known) for name in names} | {"share": _panel_of_shares(known)}
     ends = [name for name in INTERVAL if name in ds]
-    read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])])
+    read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])], plotted_values)
     regime, entries = read[0][REGIME.name].values, list[Entry]()
     if known is not None:
         label = read[0][LABEL.name].values
@@ -180,12 +175,16 @@ def names_with_values(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
     return [name for name in names if all(name in atlas and atlas[name].size for atlas in atlases)]
 
 
-def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, PlaneAxis]:
-    """Return the named variables and the regimes of a sweep, sorted along its axis, and the axis.
+def line(ds: xr.Dataset, variables: Iterable[str], plotted: PlottedValues | None) -> tuple[xr.Dataset, PlaneAxis]:
+    """Return the named variables, the plotted values and the regimes of a sweep, sorted along its axis, and the axis.
 
-    Pictures of sweeps read an atlas only here.
+    The plotted values have the name of their variable. Pictures of sweeps read an atlas only here.
     """
-    read, (x,) = sort_axes(ds[[*dict.fromkeys(variables), REGIME.name]])
+    more = () if plotted is None else plotted.reads
+    read, (x,) = sort_axes(ds[[*dict.fromkeys([*variables, *more, REGIME.name])]])
+    if plotted is not None:
+        values = plotted.values(read, x)
+        read = read.assign({plotted.name: (read[plotted.name].dims[: values.ndim], values)})
     return read, x
 
 
@@ -231,11 +230,11 @@ def stack(
     return drawn
 
 
-def _panel_of_points(plotted_values: PlottedValues) -> Panel:
-    """Return the function that draws a bifurcation diagram: the gap coordinate at t = k T, or an observable."""
+def _panel_of_points(name: str) -> Panel:
+    """Return the function that draws a bifurcation diagram of the plotted values ``name``."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
-        regime, values = ds[REGIME.name].values, plotted_values.values(ds, x)
+        regime, values = ds[REGIME.name].values, ds[name].values
         for code in np.unique(regime[regime != PENDING]):
             least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
             draw_points(ax, x, values, looks.INK[int(code)], point_size(x, least, layout), cells=regime == code)
@@ -271,7 +270,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout)
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 
-def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: PlottedValues | None) -> Panel:
+def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
     """Return the function that draws a variable of every attractor along a sweep; larger shares lie on top.
 
     The variable ``name`` is that of the plotted values, or the largest exponent. ``known`` is the table of branches.
@@ -280,10 +279,9 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: Pl
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             attractor = ds.isel({ATTRACTOR: k})
-            size = point_size(x, (1.0 if plotted_values is None else 0.6) * _POINT, layout)
-            values = _values(attractor, x, name, plotted_values)
+            size = point_size(x, (1.0 if name == LARGEST.name else 0.6) * _POINT, layout)
             for cells, color in _groups(attractor, known):
-                draw_points(ax, x, values, color, size, "o", cells=cells)
+                draw_points(ax, x, attractor[name].values, color, size, "o", cells=cells)
         ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
 
     return draw
@@ -386,15 +384,6 @@ def draw_points(
     at, mask = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
     look: Any = {"color": color, "markersize": size, "markeredgewidth": 0, "zorder": zorder, "rasterized": True}
     ax.plot(at[mask], values[mask], marker, **look)
-
-
-def _values(ds: xr.Dataset, x: PlaneAxis, name: str, plotted_values: PlottedValues | None) -> Array:
-    """Return the values of the variable ``name`` along a sweep, or the plotted values if this is their variable."""
-    return (
-        np.asarray(ds[name].values)
-        if plotted_values is None or name != plotted_values.name
-        else plotted_values.values(ds, x)
-    )
 
 
 def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Entry]:
