@@ -87,9 +87,7 @@ def _of_one(
     InputError if there is nothing to draw.
     """
     plotted_values = PlottedValues.resolve(request.observe, ds)
-    panels = ({} if plotted_values is None else {plotted_values.name: _panel_of_points(plotted_values.name)}) | dict(
-        exponents
-    )
+    panels = {**({plotted_values.name: _panel_of_points(plotted_values.name)} if plotted_values else {}), **exponents}
     if not panels:
         raise InputError("kind 'sweep' needs 'section' or 'largest', and this atlas has neither; see section_samples")
     errors = names_with_values([ERROR.name], ds) if LARGEST.name in panels else []  # other atlases may lack error bars
