@@ -59,11 +59,7 @@ def _described(plane: Plane, overlay: Overlay) -> dict[str, Any]:
 
     return {
         "looks": {kind: _line_look(kind, look) for kind, look in overlay.looks.items()},
-        "lines": [
-            {"kind": line.kind, "points": part} | ({"orbit": line.orbit} if line.orbit else {})
-            for line in overlay.lines
-            for part in _parts(plane, line.points)
-        ],
+        "lines": [{"kind": line.kind, "points": part} for line in overlay.lines for part in _parts(plane, line.points)],
         "marks": {kind: _mark_look(look) for kind, look in overlay.marks.items()},
         "corners": visible(overlay.corners),
         "ends": visible(overlay.ends),

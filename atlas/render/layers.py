@@ -144,11 +144,10 @@ class PointLayer(NamedTuple):
 
 
 class Line(NamedTuple):
-    """A line (N, 2) of an overlay; ``orbit`` names the orbit of a curve, n-p-q."""
+    """A line of an overlay: its kind, and its points (N, 2)."""
 
     kind: str
     points: Array
-    orbit: str = ""
 
 
 Spot: TypeAlias = tuple[str, float, float]

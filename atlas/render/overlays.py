@@ -67,7 +67,7 @@ def _curves(view: MapView, size: Size) -> Overlay:
     corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
     if wanted is not None and "codimension_two" not in wanted:
         corners = []
-    lines = [Line(curve.kind, points, curve.label) for curve in curves for points in curve.stable_lines]
+    lines = [Line(curve.kind, points) for curve in curves for points in curve.stable_lines]
     drawn, marked = {line.kind for line in lines}, {kind for kind, *_ in corners}
     looks = {
         kind: LineLook(look.label, look.color, look.dashes, edge="#ffffff")
