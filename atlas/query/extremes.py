@@ -62,10 +62,10 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
         for extreme, first in (("smallest", "idxmin"), ("largest", "idxmax")):
             tables.append(cells.loc[ends[first]].assign(extreme=extreme, cells=ends["size"].to_numpy()))
     entries: list[dict[str, Any]] = []
-    found = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=["class", "extreme"])
+    table = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=["class", "extreme"])
     for number, value in [(1, None)] if classes is None else classes.list_classes():
         for extreme, rising in (("smallest", True), ("largest", False)):
-            rows = found[(found["class"] == number) & (found["extreme"] == extreme)]
+            rows = table[(table["class"] == number) & (table["extreme"] == extreme)]
             if rows.empty:
                 continue
             best = rows.sort_values(["value", *dims], ascending=[rising] + [True] * len(dims)).iloc[0]

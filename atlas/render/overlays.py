@@ -55,17 +55,17 @@ def _boundaries(view: MapView, size: Size) -> Overlay:
 
 
 def _curves(view: MapView, size: Size) -> Overlay:
-    wanted = view.request.curves
+    requested = view.request.curves
     try:
         stored = queries.curves_of(view.ds)
     except InputError as error:
         raise InputError(f"overlay 'curves': {error}") from None
     if stored.axes != axis_names(view.ds):
-        found = ", ".join(axis_names(view.ds))
-        raise InputError(f"overlay 'curves': curves over {', '.join(stored.axes)}, found a map of {found}")
-    curves = [curve for curve in stored if wanted is None or curve.kind in wanted]
+        axes = ", ".join(axis_names(view.ds))
+        raise InputError(f"overlay 'curves': curves over {', '.join(stored.axes)}, found a map of {axes}")
+    curves = [curve for curve in stored if requested is None or curve.kind in requested]
     corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
-    if wanted is not None and "codimension_two" not in wanted:
+    if requested is not None and "codimension_two" not in requested:
         corners = []
     lines = [Line(curve.kind, points) for curve in curves for points in curve.stable_lines]
     drawn, marked = {line.kind for line in lines}, {kind for kind, *_ in corners}

@@ -84,13 +84,13 @@ class Scale:
         On a logarithmic scale zero, which has no logarithm, gets the colour of the lower limit, and so does NaN.
         """
         low, high = self.ends
-        held = np.maximum(np.where(np.isnan(values), low, values), low)
+        clipped = np.maximum(np.where(np.isnan(values), low, values), low)
         if self.form == TWO_SIDED:
-            shares = np.where(held < 0.0, (0.5 / -low) * (held - low), (0.5 / high) * held + 0.5)
+            shares = np.where(clipped < 0.0, (0.5 / -low) * (clipped - low), (0.5 / high) * clipped + 0.5)
         elif self.form == LOG:
-            shares = (np.log10(held) - np.log10(low)) / (np.log10(high) - np.log10(low))
+            shares = (np.log10(clipped) - np.log10(low)) / (np.log10(high) - np.log10(low))
         else:
-            shares = (held - low) / (high - low) if high > low else 0.0 * held
+            shares = (clipped - low) / (high - low) if high > low else 0.0 * clipped
         return pick(self.table, shares)
 
     def hex(self, value: float) -> str:
