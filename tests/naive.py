@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from mpmath import mp
 from numpy.typing import NDArray
-from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from workers.model.oscillator import GuardedFlow, Oscillator
 from workers.model.system import find_system
@@ -123,16 +121,6 @@ def first_order(params: Mapping[str, float]) -> Array:
     B[2:4, 4] = np.array([1.0 - p["f2"], p["f2"]]) / mass
     B[4, 5], B[5, 4] = p["omega"], -p["omega"]
     return B
-
-
-def through_one_impact(params: Mapping[str, float], state: Array, near: tuple[float, float], end: float) -> Array:
-    """Physical state at time ``end`` of a flight from t = 0 with one impact, at the upper stop inside ``near``."""
-    B = first_order(params)
-    z = np.concatenate([state, [math.sin(params["tau"]), math.cos(params["tau"])]])
-    hit = brentq(lambda t: float((expm(B * t) @ z)[0]) - params["b"], *near, xtol=1e-15, rtol=1e-15)
-    z = expm(B * hit) @ z
-    z[2] *= -params["R"]
-    return np.asarray((expm(B * (end - hit)) @ z)[:4])
 
 
 def blocking_error(values: Array, fewest: int) -> float:

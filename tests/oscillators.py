@@ -1,5 +1,6 @@
-"""Oscillators of one machine, from matrices."""
+"""Machines that several tests solve: oscillators from matrices, and one mass under a cosine."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from workers.model.build import build
 from workers.model.oscillator import Oscillator, SingleContactMachines, take_one
+from workers.model.system import System
 from workers.results import NO_REASON, InvalidError
 
 
@@ -40,3 +42,14 @@ def mass_spring(
         omega, tau, b_upper, -b_lower, R,
     )  # fmt: skip
     return build_one(SingleContactMachines(*(np.asarray(field, dtype=np.float64)[None] for field in fields)))
+
+
+def cosine_mass(**given: Any) -> System:
+    """One mass of 1 on a spring of 1, forced by A cos(omega t), with what else is given."""
+    table = {
+        "name": "one-mass", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]],
+        "force": ["A"], "phase": [0.5 * math.pi],
+        "parameters": {"omega": {"default": 1.0}, "A": {"default": 2.0}},
+    }  # fmt: skip
+    parameters = {"parameters": table["parameters"] | given.pop("parameters", {})}  # type: ignore[operator]
+    return System.from_mapping(table | given | parameters)

@@ -12,10 +12,6 @@ from workers.continuation.events import Event, SolutionPoint
 from workers.continuation.extended_system import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
 from workers.continuation.families import Family, family_of
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.legs import EVENT, MODE, NO_EVENT, fly_leg, saltate
-from workers.continuation.shooting import OrbitMotion
-from workers.kernel.borrow import row_of
-from workers.kernel.hybrid.state import harmonics_at
 from workers.model.family import OrbitMachines
 from workers.model.hybrid_modes import FLYING
 from workers.model.system import find_system
@@ -85,45 +81,6 @@ def upper_peak(family: Family, values: Array) -> float:
     lin = family.model(values[None])
     sin, cos = waves(lin)[0, 0]
     return float((0.5 * math.pi - math.atan2(cos, sin) - lin.tau[0]) / lin.omega[0])
-
-
-def factors(motion: OrbitMotion) -> Array:
-    """The factors (L, 2n, 2n) of the map of a turn of one orbit: its legs, each with the event at its end."""
-    lin, plan, size = motion.lin, motion.plan, motion.start.shape[1]
-    modes, found = row_of(motion.pieces, 0), np.empty((len(plan.table), size, size))
-    h, V, room, harmonics = (
-        np.empty((size // 2, 2)),
-        np.empty((size, size // 2, 2)),
-        np.empty((3, size)),
-        len(modes.waves[0, 0]),
-    )
-    for k, row in enumerate(plan.table):
-        z, D, begin, end = motion.turn.states[0, k].copy(), np.eye(size), motion.begins[0, k], motion.ends[0, k]
-        before, after = (harmonics_at(lin.tau[0] + lin.omega[0] * t, harmonics) for t in (begin, end))
-        fly_leg(modes, row[MODE], end - begin, before, after, z, D, h, V)
-        if row[EVENT] != NO_EVENT:
-            saltate(modes, lin.elements, plan.table, k, 0, lin.omega[0], z, after, 0.0, D, room)
-        found[k] = D.T
-    found[-1] *= motion.itinerary.sign
-    return found
-
-
-def exponents(motion: OrbitMotion) -> Array:
-    """Lyapunov exponents (2n,) per forcing period of one orbit, largest first: ln|multipliers|, whatever their spread.
-
-    The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost
-    beside another as in the product of the factors.
-    """
-    rates, itinerary = factors(motion), motion.itinerary
-    m, size = rates.shape[:2]
-    cyclic = np.zeros((m * size, m * size))
-    for i in range(m):
-        after = (i + 1) % m
-        cyclic[after * size : (after + 1) * size, i * size : (i + 1) * size] = rates[i]
-    with np.errstate(divide="ignore"):
-        logs = -np.sort(-np.log(np.abs(np.linalg.eigvals(cyclic))))
-    periods = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
-    return np.asarray(logs.reshape(size, m).sum(1) / periods)
 
 
 def bouncing_ball(free: tuple[str, ...], **fixed: float) -> Family:

@@ -5,7 +5,7 @@ A random system is any linear machine with one gap, given as a definition: 1, 2,
 rigid modes, loads, up to four harmonics, one stop or two. Others are machines with soft and several contacts, friction
 and phases (stress_modes.py). Every cell's results are checked for NaN and infinity where
 none belongs, for contradictions, for positions beyond a stop and against the law of the exponents' sum. Some cells are
-re-evaluated by the independent simulator of the tests: their first flights by dense sampling (no crossing missed),
+re-evaluated by the independent simulator of the tests: their first flights (no crossing missed) and
 their orbit over up to 20 periods in multiprecision.
 
 Cells depend on the seed and their number alone. The work is spread over local processes by Dask. What the report lists

@@ -130,7 +130,7 @@ def table(facts: dict[str, Any]) -> list[tuple[str, str]]:
         *((what, str(count)) for what, count in facts["never"].items()),
         ("section positions checked", f"{total('section positions'):,}"),
         ("impact positions checked", f"{total('impact positions', 'positions at rigid contacts'):,}"),
-        ("flights sampled densely", f"{total('flights sampled densely'):,}"),
+        ("flights checked", f"{total('flights checked,'):,}"),
         (
             "largest defect of the sum law, periodic cells",
             f"{largest('sum law, periodic'):.1e} in {total('sum law, periodic'):,} cells",

@@ -2,7 +2,7 @@
 
 The closed forms of scripts/published are held against scipy's integrator with events, and against maps whose times are
 bisected and whose derivatives are differences. Neither shares code with the solver. test_den_hartog.py and
-test_bifurcations.py have further references of the gallery.
+test_branch_fig6.py have further references of the gallery.
 """
 
 import json

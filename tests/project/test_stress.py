@@ -32,8 +32,8 @@ def test_the_light_mode_finds_nothing_that_must_not_happen() -> None:
     assert facts["failed"] == {}
     assert facts["with_impacts"] > 50
     assert facts["sticking"] > 20
-    assert facts["checked"]["flights sampled densely, two-mass"] > 10
-    assert facts["checked"]["flights sampled densely, systems"] > 10
+    assert facts["checked"]["flights checked, two-mass"] > 10
+    assert facts["checked"]["flights checked, systems"] > 10
     assert facts["checked"]["sum law, periodic, modes"] > 10
 
 

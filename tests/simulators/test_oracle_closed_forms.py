@@ -1,4 +1,4 @@
-"""The oracle against closed forms: a ball, a mass in a box, published bifurcations of a single mass, impact orbits."""
+"""The oracle against closed forms: a ball, a mass in a box, impact orbits."""
 
 import math
 from dataclasses import replace
@@ -14,11 +14,10 @@ from tests.support.oracle.free_mass import (
     bouncing_ball_doubling,
     bouncing_ball_fold,
     bouncing_ball_orbits,
-    impact_pair_fold,
     impact_pair_orbits,
     impact_pair_symmetry_breaking,
 )
-from tests.support.oracle.machines import bouncing_ball, impact_pair, single_mass
+from tests.support.oracle.machines import bouncing_ball, impact_pair
 
 pytestmark = pytest.mark.slow
 
@@ -40,18 +39,6 @@ def ball_in_flight(gamma: mp.mpf, R: mp.mpf, orbit: FreeOrbit) -> OracleMachine:
     """Half a period after its impact: the ball is at the top of its parabola."""
     start = (2 * gamma * mp.sin(orbit.phase) + mp.pi**2 / 2, gamma * mp.cos(orbit.phase))
     return bouncing_ball(gamma, R, tau=orbit.phase + mp.pi, start=start)
-
-
-def test_bifurcations_of_the_ball_are_the_known_ones() -> None:
-    assert float(bouncing_ball_fold(0.5)) == pytest.approx(1.0471975512, abs=5e-11)
-    assert float(bouncing_ball_doubling(0.5)) == pytest.approx(1.5268237005, abs=5e-11)
-
-
-def test_a_ball_has_orbits_of_period_1_above_the_fold_only() -> None:
-    with mp.workdps(40):
-        fold = bouncing_ball_fold(0.5)
-        assert not bouncing_ball_orbits(fold * (1 - mp.mpf("1e-30")), 0.5)
-        assert len(bouncing_ball_orbits(fold * (1 + mp.mpf("1e-30")), 0.5)) == 2
 
 
 @pytest.mark.parametrize("gamma", ["1.05", "1.2", "1.5", "1.8"])
@@ -82,20 +69,6 @@ def test_the_balls_orbit_is_stable_between_fold_and_doubling(share: str, stable:
         assert abs(saddle.multipliers[0]) > 1
 
 
-def test_a_simulated_multiplier_of_the_ball_is_minus_one_at_the_doubling() -> None:
-    with mp.workdps(40):
-        gamma = bouncing_ball_doubling(0.5)
-        found = multipliers(ball_in_flight(gamma, mp.mpf(0.5), bouncing_ball_orbits(gamma, 0.5)[0]))
-        assert distance(found, [-1, -mp.mpf(0.25)]) < 1e-25
-
-
-def test_a_simulated_multiplier_of_the_ball_is_one_at_the_fold() -> None:
-    with mp.workdps(40):
-        gamma = bouncing_ball_fold(0.5)
-        found = multipliers(ball_in_flight(gamma, mp.mpf(0.5), bouncing_ball_orbits(gamma, 0.5)[0]))
-        assert distance(found, [1, mp.mpf(0.25)]) < 1e-15
-
-
 @pytest.mark.parametrize("R", [0.3, 0.7])
 def test_a_ball_on_a_table_at_rest_comes_to_rest_when_the_geometric_series_says(R: float) -> None:
     """From the height 2: a fall of 2, then flights of 4 R, 4 R^2, ..."""
@@ -104,7 +77,7 @@ def test_a_ball_on_a_table_at_rest_comes_to_rest_when_the_geometric_series_says(
         end = 2 + 4 * mp.mpf(R) / (1 - mp.mpf(R))
         assert abs(run.stuck[0].start - end) < 1e-12
         assert abs(run.stuck[0].end - 6 * mp.pi) < 1e-35
-        assert run.sections[-1] == [0, 0]
+        assert distance(run.sections[-1], [0, 0]) < 1e-40
 
 
 def test_a_ball_at_rest_leaves_the_table_when_its_acceleration_is_that_of_gravity() -> None:
@@ -129,11 +102,6 @@ def pair_in_flight(clearance: mp.mpf, R: mp.mpf, orbit: FreeOrbit) -> OracleMach
     return impact_pair(clearance, R, tau=orbit.phase + mp.pi / 2, start=start)
 
 
-def test_bifurcations_of_the_impact_pair_are_the_known_ones() -> None:
-    assert float(impact_pair_fold(0.6)) == pytest.approx(12.7245302631, abs=5e-11)
-    assert float(impact_pair_symmetry_breaking(0.6)) == pytest.approx(2.7317184533, abs=6e-11)
-
-
 @pytest.mark.parametrize("clearance", ["2.9", "6", "12.7"])
 def test_a_simulated_impact_pair_stays_on_the_closed_form_orbits(clearance: str) -> None:
     with mp.workdps(40):
@@ -154,52 +122,6 @@ def test_simulated_multipliers_of_the_impact_pair_are_the_squares_of_those_of_ha
         found = multipliers(pair_in_flight(nu, R, orbit))
         assert abs(sum(found) - sum(value**2 for value in orbit.multipliers)) < 1e-25
         assert (abs(orbit.multipliers[0]) < 1) == (nu > impact_pair_symmetry_breaking(R))
-
-
-def test_a_multiplier_of_the_impact_pair_is_one_where_its_symmetry_breaks() -> None:
-    with mp.workdps(40):
-        R = mp.mpf("0.6")
-        nu = impact_pair_symmetry_breaking(R)
-        orbit = impact_pair_orbits(nu, R)[0]
-        assert abs(orbit.multipliers[0] + 1) < 1e-35
-        assert distance(multipliers(pair_in_flight(nu, R, orbit)), [1, R**4]) < 1e-25
-
-
-def test_a_multiplier_of_the_impact_pair_is_one_at_the_fold() -> None:
-    with mp.workdps(40):
-        R = mp.mpf("0.6")
-        nu = impact_pair_fold(R)
-        orbit = impact_pair_orbits(nu * (1 - mp.mpf("1e-30")), R)[0]
-        assert abs(orbit.multipliers[0] - 1) < 1e-13
-        assert not impact_pair_orbits(nu * (1 + mp.mpf("1e-30")), R)
-
-
-# A single mass with one stop: published points, arXiv 2510.16218
-
-
-def published(omega: str, amplitude: mp.mpf) -> OracleMachine:
-    """x'' + 0.04 x' + x = amplitude cos(omega t), x <= 1, R = 0.9."""
-    return single_mass(
-        damping=mp.mpf("0.04"), stiffness=1, force_cos=amplitude, omega=mp.mpf(omega), R=mp.mpf("0.9"), upper=1
-    )
-
-
-def test_the_closed_form_doubles_its_period_at_the_published_point() -> None:
-    """omega = 0.81, one impact in two periods; the digits given leave about 1e-12 of the multiplier open."""
-    with mp.workdps(40):
-        orbits = one_sided_orbit(published("0.81", mp.mpf("0.347533397412283")), 2)
-        assert min(abs(orbit.multipliers[0] + 1) for orbit in orbits) < 2e-12
-
-
-def test_the_closed_form_folds_at_the_published_point() -> None:
-    """omega = 0.799, one impact in two periods: none just below the amplitude, two just above, one of each kind."""
-    with mp.workdps(40):
-        amplitude = mp.mpf("0.362836201980888")
-        assert not one_sided_orbit(published("0.799", amplitude * (1 - mp.mpf("1e-14"))), 2)
-        node, saddle = one_sided_orbit(published("0.799", amplitude * (1 + mp.mpf("1e-14"))), 2)
-        ahead = sorted(mp.re(orbit.multipliers[0]) for orbit in (node, saddle))
-        assert ahead[0] < 1 < ahead[1]
-        assert ahead[1] - ahead[0] < 1e-5
 
 
 # Impact orbits of several masses

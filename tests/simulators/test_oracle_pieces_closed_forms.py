@@ -4,19 +4,16 @@ import math
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from tests.support.oracle.piecewise import (
-    HarmonicForce,
     PiecewiseContact,
     PiecewiseFriction,
     PiecewiseMachine,
     PiecewiseMode,
-    PiecewisePhase,
     orbit,
     simulate,
 )
-from tests.support.oracle.piecewise.reference_orbits import oscillator, soft
+from tests.support.oracle.piecewise.one_mass import oscillator, soft
 
 
 @pytest.mark.parametrize("R", [0.0, 0.5])
@@ -57,19 +54,6 @@ def test_strong_friction_stops_a_mass_between_hops() -> None:
     assert float(run.events[0].value) == pytest.approx(-(0.5**2) / (2 * 1.3), abs=1e-15)
 
 
-def test_a_mass_at_rest_on_a_stop_with_friction_leaves_when_the_pull_exceeds_static_friction() -> None:
-    """Pressed by cos t: the pull away from the stop is -cos t, and reaches the static friction .5 at 2 pi / 3."""
-    machine = PiecewiseMachine(
-        [[1.0]], [[0.1]], [[0.0]], [0.0], 1.0, (HarmonicForce(1, [0.0], [1.0]),),
-        (PiecewiseContact([1.0], 0.0, restitution=0.5),), (PiecewiseFriction([1.0], 0.4, 0.5),),
-    )  # fmt: skip
-    run = simulate(machine, [0.0, 0.0], span=3.0)
-    assert run.modes[0] == PiecewiseMode(0, ("held+",), ("stick",))
-    assert [event.kind for event in run.events] == ["leave"]
-    assert float(run.events[0].t) == pytest.approx(2 * math.pi / 3, abs=1e-15)
-    assert run.modes[-1] == PiecewiseMode(0, ("open",), ("slip-",))
-
-
 def test_hops_on_the_edge_of_a_preload_slow_down_by_the_damper() -> None:
     """Outer load a below the preload p: the speed of the hops falls as exp(-c a t / (3 p)), unit mass, small c."""
     a, p, c = 0.3, 1.0, 0.5
@@ -81,36 +65,6 @@ def test_hops_on_the_edge_of_a_preload_slow_down_by_the_damper() -> None:
     first, last = hits[0], hits[-1]
     rate = math.log(float(first.value / last.value)) / float(last.t - first.t)
     assert rate == pytest.approx(c * a / (3 * p), rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("sign", "kind", "time"), [(1, "sink", math.asin(0.6)), (-1, "leave", math.asin(0.4))], ids=["sinks", "leaves"]
-)
-def test_an_edge_ends_where_its_force_reaches_the_preload_or_zero(sign: int, kind: str, time: float) -> None:
-    """The outer load .4 + sin t, or .4 - sin t, stays between 0 and the preload 1 until then."""
-    machine = PiecewiseMachine(
-        [[1.0]], [[0.1]], [[0.0]], [0.4], 1.0, (HarmonicForce(1, [float(sign)], [0.0]),),
-        (PiecewiseContact([1.0], 0.0, stiffness=10.0, damping=0.1, preload=1.0),),
-    )  # fmt: skip
-    run = simulate(machine, [0.0, 0.0], span=1.0)
-    assert run.modes[0].contacts == ("edge+",)
-    assert (run.events[0].kind, float(run.events[0].t)) == (kind, pytest.approx(time, abs=1e-15))
-    assert run.modes[-1].contacts == ("engaged+" if kind == "sink" else "open",)
-
-
-def test_a_stiffness_switched_during_contact_changes_the_flow_and_nothing_else() -> None:
-    """Against matrix exponentials of the two halves; the mass stays beyond the stop all the time."""
-    machine = PiecewiseMachine(
-        [[1.0]], [[0.1]], [[1.0]], [2.0], 2 * math.pi,
-        contacts=(PiecewiseContact([1.0], 0.0, stiffness=20.0, damping=0.3),),
-        phases=(PiecewisePhase(0.0), PiecewisePhase(0.3, contacts={0: {"stiffness": 5.0}})),
-    )  # fmt: skip
-    state = np.array([0.15, 0.2, 1.0])
-    for k, time in ((21.0, 0.3), (6.0, 0.7)):
-        state = expm(np.array([[0.0, 1.0, 0.0], [-k, -0.4, 2.0], [0.0, 0.0, 0.0]]) * time) @ state
-    run = simulate(machine, [0.15, 0.2])
-    assert run.events == []
-    np.testing.assert_allclose(np.array(run.sections[-1], dtype=float), state[:2], atol=1e-14)
 
 
 def test_the_order_of_impacts_decides_where_two_coupled_contacts_are_hit_at_once() -> None:
@@ -142,23 +96,6 @@ def test_a_graze_of_a_damped_stop_that_releases_by_force_kicks_in_proportion_to_
     c = 0.3
     kick = (end(depth, c) - end(depth, 0.0)) / depth
     assert kick == pytest.approx(-c, rel=100 * math.sqrt(depth))
-
-
-def test_a_detached_stop_engages_again_when_its_force_would_push() -> None:
-    """Unit mass .1 beyond the stop, leaving at 1.5, pushed back in by a = 100: F = k delta + c delta' with k 10, c 1.
-
-    F = -.5 + (c a - 1.5 k) t + k a t^2 / 2 until it is zero.
-    """
-    a, k, c, depth, speed = 100.0, 10.0, 1.0, 0.1, -1.5
-    stop = PiecewiseContact([1.0], 0.0, stiffness=k, damping=c, release="force")
-    machine = PiecewiseMachine([[1.0]], [[0.0]], [[0.0]], [a], 1.0, contacts=(stop,))
-    run = simulate(machine, [depth, speed], span=0.02)
-    assert run.modes[0].contacts == ("detached+",)
-    rise, bend = k * speed + c * a, k * a / 2
-    time = (-rise + math.sqrt(rise**2 - 4 * bend * (k * depth + c * speed))) / (2 * bend)
-    assert [event.kind for event in run.events] == ["engage"]
-    assert float(run.events[0].t) == pytest.approx(time, abs=1e-16)
-    assert run.modes[-1].contacts == ("engaged+",)
 
 
 @pytest.mark.slow

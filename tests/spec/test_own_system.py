@@ -43,7 +43,6 @@ survival = 0
 tile = [2, 2]
 """
 LIKE = SPEC.replace("machine.toml", "two-mass").replace("axes.d", "axes.b") + "[parameters]\ntau = 0.0\n"
-NAMES = {"d": "b", "r": "R", "z": "zeta", "m": "mu_m", "k": "mu_k"}
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import atlas
 from atlas.accessor import PlottableBranches
 from atlas.cli.main import main
 from atlas.errors import InputError
-from tests.workers.orbit.test_bifurcations import KNOWN, TWO_MASS
+from tests.orbits.branches.test_branch_fig6 import KNOWN, TWO_MASS
 from workers import Settings
 from workers.continuation import section_states
 from workers.kernel.coordinates import blocks_to_physical, motion_from
@@ -28,13 +28,6 @@ QUICK = Settings(max_periods=2000, survival=0)
 def found() -> PlottableBranches:
     """The symmetric orbit of Fig. 6 from omega = 3.02, and the asymmetric one that leaves it."""
     return atlas.branch({"omega": 3.02}, along="omega", window=(2.9, 3.05), settings=QUICK, switch_branches=True)
-
-
-def test_a_branch_passes_its_event_where_the_direct_map_has_it(found: PlottableBranches) -> None:
-    """Truth: bisection on the multiplier of simulated motion, test_bifurcations."""
-    events = found.events[found.events.branch == 0]
-    assert events.kind.tolist() == ["symmetry_breaking"]
-    assert events.omega.iloc[0] == pytest.approx(BREAKING, abs=1e-9)
 
 
 def test_what_leaves_is_followed_and_says_so(found: PlottableBranches) -> None:

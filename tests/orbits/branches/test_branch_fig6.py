@@ -1,6 +1,7 @@
 """The branches of the machine of Fig. 6 on its line b = 0.15 against direct simulation: its map, sweeps both ways."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,16 +12,66 @@ from atlas.orbits.branches.from_cell import tree_from
 from atlas.orbits.branches.seed import seed_of_point
 from atlas.orbits.branches.table import pattern
 from atlas.orbits.branches.tree import Branch, BranchTree
-from tests.workers.orbit.test_bifurcations import KNOWN, TWO_MASS, Bifurcation, oscillator
 from workers import Settings
 from workers.continuation import Event, section_states
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import FLIGHT, RUNNING, STATUS
+from workers.model.oscillator import Oscillator
+from workers.model.system import find_system
 from workers.orbit.map import map_with_jacobian
-from workers.results import PERIODIC
+from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
 from workers.sweep import solve_lines
+from workers.tile import solve_tile
 
 pytestmark = pytest.mark.slow
+
+TWO_MASS = find_system("two-mass")
+
+
+@dataclass(frozen=True)
+class Bifurcation:
+    """Where one orbit gives way to another.
+
+    kind            "symmetry breaking" (multiplier of G is -1), "period doubling" (-1; "subcritical" where no stable
+                    orbit of twice the period succeeds it), "fold" (+1) or "grazing"
+    omega           where
+    steps, half     the orbit's map: so many steps of G (half) or of the stroboscopic map
+    stable_side     +1 or -1: the side of omega on which the orbit is stable
+    stable, beyond  (period, symmetric) on that side and on the other; None: not this orbit, nothing periodic near it
+    """
+
+    kind: str
+    omega: float
+    steps: int
+    half: bool
+    stable_side: int
+    stable: tuple[int, bool]
+    beyond: tuple[int, bool] | None
+
+    def __str__(self) -> str:
+        return f"{self.kind}, period {self.stable[0]}, omega={self.omega:.8f}"
+
+
+KNOWN = [
+    Bifurcation("symmetry breaking", 3.0040942351, 1, True, +1, (1, True), (1, False)),
+    Bifurcation("period doubling", 2.4495892973, 1, False, +1, (1, False), (2, False)),
+    Bifurcation("period doubling", 2.2352569808, 2, False, +1, (2, False), (4, False)),
+    Bifurcation("period doubling", 2.2178961545, 4, False, +1, (4, False), (8, False)),
+    Bifurcation("subcritical period doubling", 2.1032479935, 2, False, -1, (2, False), None),
+    Bifurcation("period doubling", 2.0646871370, 2, False, +1, (2, False), (4, False)),
+    Bifurcation("period doubling", 2.0565331377, 4, False, +1, (4, False), (8, False)),
+    Bifurcation("period doubling", 2.0285149868, 2, False, +1, (2, False), (4, False)),
+    Bifurcation("fold", 2.2823005239, 2, False, -1, (2, False), None),
+    Bifurcation("fold", 2.0352965860, 2, False, -1, (2, False), None),
+    Bifurcation("grazing", 2.3770110394, 2, False, +1, (2, False), None),
+]
+"""By Newton's method on the map of simulated motion and bisection, to 1e-9; the branches have to find them again."""
+
+
+def oscillator(omega: float) -> Oscillator:
+    """The system of Fig. 6 (the defaults) at this forcing frequency."""
+    return TWO_MASS.build({p.name: p.default for p in TWO_MASS.parameters} | {"omega": omega})
+
 
 SEEDS = (3.5, 2.24, 2.1, 2.034)
 """Frequencies at which cells from rest settle on the orbits whose bifurcations are KNOWN."""
@@ -45,7 +96,6 @@ def nearest(trees: list[BranchTree], bifurcation: Bifurcation) -> Event:
 def test_events_lie_where_newton_on_the_direct_map_finds_them(
     trees: list[BranchTree], bifurcation: Bifurcation
 ) -> None:
-    """Truth: ``locate`` of test_bifurcations, by Newton's method, multipliers and bisection on simulated motion."""
     event = nearest(trees, bifurcation)
     assert event.point.values[0] == pytest.approx(bifurcation.omega, abs=1e-9)
     assert event.point.orbit.itinerary.periods == bifurcation.stable[0]
@@ -63,6 +113,25 @@ def test_the_direct_map_closes_there_and_has_the_multiplier(trees: list[BranchTr
     critical = 1.0 if bifurcation.kind == "fold" else -1.0
     multipliers = np.linalg.eigvals(jacobian)
     assert np.min(np.abs(multipliers - critical)) < 1e-8
+
+
+@pytest.mark.parametrize("distance", [1e-3, -1e-3, 1e-5, -1e-5])
+@pytest.mark.parametrize("bifurcation", KNOWN, ids=str)
+def test_a_thousandth_from_a_bifurcation_the_class_is_right_and_nearer_to_it_never_wrong(
+    trees: list[BranchTree], bifurcation: Bifurcation, distance: float
+) -> None:
+    """From a thousandth beside the orbit; a hundred-thousandth from the bifurcation the class may stay open."""
+    point = nearest(trees, bifurcation).point
+    state = section_states(TWO_MASS, {"omega": point.values}, [point.orbit])[0, 0]
+    start = dict(zip(TWO_MASS.states, (0.999 * state).tolist(), strict=True))
+    found = solve_tile("two-mass", start | {"omega": bifurcation.omega + distance})
+    right = bifurcation.stable if distance * bifurcation.stable_side > 0 else bifurcation.beyond
+    shown = (int(found["period"]), bool(found["symmetric"]))
+    is_open = abs(distance) < 1e-3 and found["regime"] == UNDETERMINED
+    if right is None:
+        assert found["regime"] == CHAOTIC or is_open or shown != bifurcation.stable
+    else:
+        assert is_open or (int(found["regime"]), *shown) == (PERIODIC, *right)
 
 
 class End(NamedTuple):

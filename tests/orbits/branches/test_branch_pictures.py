@@ -15,9 +15,9 @@ from atlas.accessor import PlottableBranches
 from atlas.errors import InputError
 from atlas.orbits.branches.from_sweep import tree_through
 from atlas.render.sweep import ORBITS
+from tests.orbits.branches.test_branch_fig6 import KNOWN
 from tests.pictures import atlas as atlas_of
 from tests.pictures import labels, line, plane
-from tests.workers.orbit.test_bifurcations import KNOWN
 from workers import Settings, solve_tile
 
 BREAKING = KNOWN[0].omega

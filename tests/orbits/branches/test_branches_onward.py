@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 import atlas
-from tests.workers.continuation.test_hybrid_branches import machine, places
+from tests.oscillators import cosine_mass
+from tests.workers.continuation.test_hybrid_branches import places
 from workers.continuation import BranchRun, branch, family_of, orbit_from_state
 from workers.model.system import System
 
 
 def forced(share: float) -> System:
     """x'' + .02 x' + x + 29 (x - 1 beyond 1) = share omega^2 / 1.26 cos omega t."""
-    return machine(
+    return cosine_mass(
         damping=[[0.02]], force=[f"{share} * omega**2 / 1.26"],
         contacts=[{"name": "stop", "gap": [1.0], "upper": 1.0, "stiffness": 29.0}],
     )  # fmt: skip
@@ -22,7 +23,7 @@ def forced(share: float) -> System:
 def pushed(c: float, p: float = 0.0) -> System:
     """A stop at 1 with damping c and preload p that can only push: the linear answer touches it where A = |Z(.8)|."""
     stop = {"name": "stop", "gap": [1.0], "upper": 1.0, "stiffness": 29.0, "damping": c, "preload": p}
-    return machine(damping=[[0.02]], contacts=[stop | {"release": "force" if c else "displacement"}])
+    return cosine_mass(damping=[[0.02]], contacts=[stop | {"release": "force" if c else "displacement"}])
 
 
 def along_amplitude(system: System, window: tuple[float, float] = (0.01, 0.6)) -> BranchRun:
@@ -100,7 +101,7 @@ def test_the_onset_of_stick_and_its_end_are_passed_alike() -> None:
     """From either side the branch is the same one; s = 1 has static friction of the kinetic level."""
     friction = [{"name": "ground", "row": [1.0], "kinetic": 1.0, "static": 1.0}]
     sides = [atlas.branch({"omega": omega, "tau": 0.0}, along="omega", window=(0.5, 0.8),
-                          system=machine(friction=friction)) for omega in (0.55, 0.75)]  # fmt: skip
+                          system=cosine_mass(friction=friction)) for omega in (0.55, 0.75)]  # fmt: skip
     sticking, sliding = (found.events for found in sides)
     assert (sticking.kind.tolist(), sliding.kind.tolist()) == (["stick_end"], ["stick_onset"])
     assert sticking.omega.tolist() == pytest.approx(sliding.omega.tolist(), abs=1e-12)

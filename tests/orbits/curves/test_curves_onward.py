@@ -14,7 +14,7 @@ from atlas.orbits.curves.passages import CurvePassage, find_passed_edges, orbits
 from atlas.orbits.curves.search_result import as_curve
 from atlas.orbits.curves.to_json import curve_as_json, curve_from_json
 from tests.orbits.branches.test_branches_onward import along_amplitude, pushed
-from tests.workers.continuation.test_hybrid_branches import machine
+from tests.oscillators import cosine_mass
 from workers.continuation import BranchRun, Condition, Event, SolutionPoint, branch, curve, family_of
 from workers.continuation.branches import follow_both_ways
 from workers.continuation.extended_system import UNIT, ExtendedSystem, solve
@@ -28,7 +28,7 @@ WINDOW = {"omega": (0.75, 1.0), "a": (0.6, 0.9)}
 
 def forced(**stop: Any) -> System:
     """x'' + .02 x' + x + 29 (x - 1 beyond 1) = a omega^2 / 1.26 cos omega t."""
-    return machine(
+    return cosine_mass(
         damping=[[0.02]], force=["a * omega**2 / 1.26"], parameters={"a": {"default": 0.9}},
         contacts=[{"name": "stop", "gap": [1.0], "upper": 1.0, "stiffness": 29.0} | stop],
     )  # fmt: skip
@@ -183,7 +183,7 @@ def test_multipliers_jump_at_the_graze_of_a_damped_contact_that_its_force_releas
 def test_a_curve_of_grazes_goes_on_through_the_graze_of_another_contact(release: str) -> None:
     """The lower stop is touched where the linear answer has amplitude 1, until the upper one is touched too."""
     stops = {"upper": "u", "lower": -1.0, "damping": 0.5, "release": release}
-    system = machine(
+    system = cosine_mass(
         damping=[[0.02]], force=["0.1"], parameters={"u": {"default": 1.2}},
         contacts=[{"name": "stop", "gap": [1.0], "stiffness": 29.0} | stops],
     )  # fmt: skip

@@ -65,18 +65,6 @@ def amplitudes(path: Path, points: np.ndarray) -> np.ndarray:
     return amplitude(CellOrbits(plane_of(open_store(path))).family.model(points))
 
 
-def test_every_curve_of_a_plane_of_b_and_f2_is_b_over_the_amplitude_constant(
-    searched: tuple[Path, CurveSummary],
-) -> None:
-    """Without a static load stops see b / |Y(f2)| only."""
-    path, summary = searched
-    assert {curve.kind for curve in summary.curves} == {"symmetry_breaking", "period_doubling"}
-    for curve in summary.curves:
-        ratios = curve.points[:, 0] / amplitudes(path, curve.points)
-        assert np.ptp(ratios) < 1e-10 * ratios[0]
-        assert curve.ends == ("edge", "edge")
-
-
 def test_every_border_between_regions_is_explained(searched: tuple[Path, CurveSummary]) -> None:
     edges = searched[1].as_dict()["edges"]["regions"]
     assert edges["all"] > 0

@@ -53,16 +53,6 @@ def impact_pair(clearance: Number, R: Number, tau: Number = 0, start: tuple[Numb
     return single_mass(damping=0, stiffness=0, force_sin=1, omega=1, R=R, tau=tau, upper=half, lower=-half, start=start)
 
 
-def chain(n: int, *, zeta: float = 0.05, omega: float = 1.0, upper: float = 0.3, R: float = 0.8) -> OracleMachine:
-    """n unit masses in a row on unit springs between two walls; the first is shaken, the last hits a stop."""
-    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    force = np.eye(n)[:1]
-    none = np.zeros((1, n))
-    return OracleMachine(
-        np.eye(n), 2 * zeta * K, K, np.eye(n)[-1], force, none, none[0], omega, 0.0, upper, -math.inf, R
-    )
-
-
 DAMPINGS = ("none", "proportional", "general", "internal")
 """No damping; a K + b M; any semidefinite matrix, often of low rank; dashpots without effect on a rigid mode."""
 

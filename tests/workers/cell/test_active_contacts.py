@@ -1,16 +1,17 @@
-"""Claims about dampers that act beyond a position, and stops that feed in energy: closed forms, and DOP853 of scipy."""
+"""Claims about dampers that act beyond a position, and stops that feed in energy: closed forms, and the oracle."""
 
 import math
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import atlas
 from atlas.check.rules import broken_rules
 from atlas.spec.spec import Spec
+from tests.support.oracle.piecewise import HarmonicForce, PiecewiseContact, simulate
+from tests.support.oracle.piecewise.one_mass import oscillator
 from workers import Settings, System, solve_tile, trace
 from workers.model.entries import DefinitionError
 from workers.results import (
@@ -66,53 +67,14 @@ def test_an_equilibrium_between_two_dampings_has_the_mean_decay_as_exponents() -
         assert solved["spectrum"][k] == pytest.approx([math.log(ratio) / duration] * 2, rel=1e-9)
 
 
-def upwards(end: float) -> Any:
-    """The event of x that rises through an end, at which a motion may have begun."""
-
-    def event(t: float, z: list[float]) -> float:
-        return z[0] - end
-
-    event.terminal, event.direction = True, 1.0  # type: ignore[attr-defined]
-    return event
-
-
-def downwards(end: float) -> Any:
-    event = upwards(end)
-    event.direction = -1.0
-    return event
-
-
-def follow(
-    rate: Callable[[float, float, float, int], float], ends: tuple[float, ...], z: list[float], t1: float,
-    R: float | None = None,
-) -> list[float]:  # fmt: skip
-    """Return (x, v) at t1 by DOP853, which begins anew wherever x meets one of ``ends``; with R, v turns into -R v.
-
-    ``rate`` is the acceleration at (t, x, v), with the number of ends below x.
-    """
-    t0 = 0.0
-    while t0 < t1:
-        ahead = z[0] + 1e-9 * z[1]
-        piece = sum(ahead > end for end in ends)
-        found = solve_ivp(
-            lambda t, z, piece=piece: (z[1], rate(t, *z, piece)), (t0, t1), z, method="DOP853", rtol=1e-12, atol=1e-14,
-            max_step=0.3, events=[*map(upwards, ends[piece : piece + 1]), *map(downwards, ends[:piece][-1:])],
-        )  # fmt: skip
-        t0, z = float(found.t[-1]), found.y[:, -1].tolist()
-        if R is not None and found.status == 1:
-            z = [z[0], -R * z[1]]
-    return z
-
-
-def test_a_cycle_between_negative_and_positive_damping_is_that_of_dop853() -> None:
+def test_a_cycle_between_negative_and_positive_damping_is_that_of_the_oracle() -> None:
     """Damping -.3 for |x| < 1 and 1 beyond: a van der Pol oscillator in pieces."""
     piecewise = machine({"upper": 1.0, "lower": -1.0, "damping": "1 - c"}, parameters={"c": -0.3, "v": 1.0})
     solved = solve_tile(piecewise, {}, SPECTRUM)
     assert solved["regime"] == PERIODIC and solved["spectrum"][0] == 0.0 > solved["spectrum"][1]
-    damping = (1.0, -0.3, 1.0)
-    state = solved["state"].tolist()
-    after = follow(lambda t, x, v, p: -x - damping[p] * v, (-1.0, 1.0), state, float(solved["cycle_period"]))
-    assert after == pytest.approx(state, abs=1e-10)
+    beyond = PiecewiseContact([1.0], 1.0, -1.0, stiffness=0.0, damping=1.3)
+    after = simulate(oscillator(1.0, damping=-0.3, contact=beyond), solved["state"], span=float(solved["cycle_period"]))
+    assert [float(z) for z in after.sections[-1]] == pytest.approx(solved["state"].tolist(), abs=1e-10)
 
 
 def test_motion_beyond_negative_damping_runs_away_and_inside_it_rests() -> None:
@@ -130,15 +92,17 @@ each_form = pytest.mark.parametrize(
 
 
 @each_form
-def test_an_orbit_at_a_wall_that_feeds_in_energy_is_that_of_dop853(form: dict[str, Any]) -> None:
+def test_an_orbit_at_a_wall_that_feeds_in_energy_is_that_of_the_oracle(form: dict[str, Any]) -> None:
     """R = 1.2 and c = .2, omega = .8: an attracting orbit of two impacts. Exponents add up to 2 ln R hits - c T."""
     system = machine(WALL | {"upper": 0.3}, **FORCED, **form)
     solved = solve_tile(system, {"omega": 0.8}, SPECTRUM)
-    T, state = 2.0 * math.pi / 0.8, solved["state"].tolist()
+    T = 2.0 * math.pi / 0.8
     assert (solved["regime"], solved["period"], solved["impacts_upper"]) == (PERIODIC, 1, 2)
     assert solved["spectrum"].sum() == pytest.approx(4.0 * math.log(1.2) - 0.2 * T, abs=1e-13)
-    after = follow(lambda t, x, v, _: math.sin(0.8 * t) - x - 0.2 * v, (0.3,), state, T, R=1.2)
-    assert after == pytest.approx(state, abs=1e-10)
+    wall = PiecewiseContact([1.0], 0.3, restitution=1.2)
+    truth = replace(oscillator(0.8, damping=0.2, contact=wall), forces=(HarmonicForce(1, [1.0], [0.0]),))
+    after = simulate(truth, solved["state"]).sections[-1]
+    assert [float(z) for z in after] == pytest.approx(solved["state"].tolist(), abs=1e-10)
     squares = solved["min_impact_speed"] ** 2 + solved["max_impact_speed"] ** 2
     assert solved["impact_energy"] == pytest.approx(0.5 * (1.0 - 1.2**2) * squares, rel=1e-12)
 

@@ -16,7 +16,6 @@ from workers.results import (
     FAILED,
     FLIES_OFF,
     INVALID,
-    LOCKING,
     NEVER_RECURS,
     NO_IMPACT,
     NO_REASON,
@@ -366,27 +365,6 @@ def test_a_load_up_to_static_friction_leaves_an_unforced_mass_where_it_is(load: 
     assert (found["regime"], found["period"]) == (NO_IMPACT, 1)
     assert found["spectrum"].tolist() == [0.0, -math.inf]
     assert found["state"].tolist() == [0.0, 0.0]
-
-
-def test_a_ball_that_rests_again_and_again_locks_though_its_period_is_not_known() -> None:
-    """The ball of test_rest, whose next rest only 360 digits can tell: its class and its exponents are sure."""
-    found = solved("bouncing-ball", A=3.3, R=0.5, omega=1.0)
-    assert (found["regime"], found["period"], found["sticks"]) == (LOCKING, 0, True)
-    assert found["spectrum"].tolist() == [-math.inf, -math.inf]
-    assert found["error"] == 0.0
-
-
-def test_an_atlas_with_locking_cells_keeps_the_rules_of_results() -> None:
-    spec = Spec(
-        "bouncing-ball", {"A": [3.2, 3.3], "R": [0.5, 0.6]}, parameters={"omega": 1.0}, solve={"exponents": "spectrum"}
-    )
-    slices = (slice(0, 2), slice(0, 2))
-    arrays = solve_tile(spec.system_def, spec.cell_params(slices), spec.settings)
-    assert (arrays["regime"] == LOCKING).any()
-    assert broken_rules(spec, slices, arrays) == {}
-    arrays["reason"][...] = NO_REASON
-    arrays["regime"][0, 0] = UNDETERMINED
-    assert "reason is missing in an undetermined, invalid or failed cell" in broken_rules(spec, slices, arrays)
 
 
 # Reasons

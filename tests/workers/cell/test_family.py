@@ -98,31 +98,34 @@ def drawn(seed: int, n: int, **kind: Any) -> OracleMachine:
     return random_machine(np.random.default_rng([20, seed, n]), n, **kind)
 
 
-def assert_sections_agree(machine: OracleMachine) -> None:
-    """Rounding may grow as the Jacobians do; the orbits are compared until it has grown too far.
+def assert_sections_agree(
+    machine: OracleMachine, periods: int = PERIODS, rounding: float = 1e-12, most: float = COMPARABLE / EPS
+) -> int:
+    """Rounding may grow as the Jacobians do; over how many periods the orbits are compared until it has grown too far.
 
     Jumping to rest neglects what is of third order in the last 1e-4 of the chatter.
     """
-    true = simulate(machine, PERIODS, digits=30)
-    found = solver_sections(machine, np.asarray(machine.start), PERIODS)
+    true = simulate(machine, periods, digits=30)
+    found = solver_sections(machine, np.asarray(machine.start), periods)
     exact = [np.array([float(value) for value in state]) for state in true.sections]
     partial: list[np.ndarray] = []
     growth, size = 1.0, float(np.max(np.abs(exact[0])))
     T = 2 * math.pi / machine.omega
-    for k in range(PERIODS):
+    for k in range(periods):
         partial = [found.jacobians[k] @ earlier for earlier in [*partial, np.eye(len(exact[0]))]]
         growth = max(growth, *(float(np.linalg.norm(J, 2)) for J in partial))
-        if not growth * EPS < COMPARABLE:
-            return
+        if not growth < most:
+            return k
         size = max(size, float(np.max(np.abs(exact[k + 1]))))
         rested = any(float(stay.start) < (k + 1) * T for stay in true.stuck)
-        bound = (1e-10 if rested else 1e-12) * growth * max(size, 1.0)
+        bound = (1e-10 if rested else rounding) * growth * max(size, 1.0)
         assert found.states[k] == pytest.approx(exact[k + 1], abs=bound)
         if not rested:
             during = [impact.side for impact in true.impacts if float(impact.t) < (k + 1) * T]
             assert (sum(found.upper[: k + 1]), sum(found.lower[: k + 1])) == (during.count(1), during.count(-1))
     stuck = sum(float(stay.end - stay.start) for stay in true.stuck)
     assert sum(found.stuck) == pytest.approx(stuck, abs=5e-3 * stuck)
+    return periods
 
 
 def assert_jacobians_agree(machine: OracleMachine) -> None:

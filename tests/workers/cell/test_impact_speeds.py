@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests import naive
-from tests.reference_motion import ball_in_flight, follow, on_attractor
+from tests.reference_motion import ball_in_flight, measured, on_attractor
 from tests.support.oracle.closed_form import symmetric_orbit
 from workers import Settings, solve_tile
 from workers.history import trace
@@ -46,12 +46,12 @@ BALANCED: list[tuple[str, dict[str, float]]] = [
 
 @pytest.mark.parametrize(("name", "params"), BALANCED, ids=[f"{n}-{k}" for k, (n, _) in enumerate(BALANCED)])
 def test_impacts_and_damping_take_what_the_force_puts_into_an_orbit(name: str, params: dict[str, float]) -> None:
-    """Truth: the flights by matrix exponentials, work and damping by quadrature."""
+    """Truth: the oracle's integrals."""
     found = solve_tile(name, params)
     assert found["regime"] == PERIODIC
-    motion = follow(name, on_attractor(name, params), int(found["period"]))
-    assert found["impact_energy"] == pytest.approx(motion.work - motion.damped, rel=1e-9)
-    assert found["impact_energy"] == pytest.approx(motion.lost, rel=1e-9)
+    motion = measured(name, on_attractor(name, params), int(found["period"]))
+    assert found["impact_energy"] == pytest.approx(motion["work"] - motion["damper_loss"], rel=1e-9)
+    assert found["impact_energy"] == pytest.approx(motion["stop_loss"], rel=1e-9)
 
 
 def test_a_chaotic_cell_has_the_speeds_of_the_impacts_of_its_trace() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from workers import Settings, System, solve_tile
 from workers.model.system import find_system, system_names
-from workers.results import PERIODIC
 
 SHORT = Settings(exponents="spectrum", max_periods=300, survival=100, section_samples=2)
 
@@ -23,6 +22,11 @@ OSCILLATOR: dict[str, Any] = {
 PARAMETERS: dict[str, Any] = {
     name: {"default": value}
     for name, value in {"k": 1.5, "A": 1.0, "p": 0.0, "s": 0.25, "q": 0.1, "omega": 0.9}.items()
+}
+
+MEASURED = {
+    "place": {"displacement": [1.0, 0.0], "report": ["mean", "rms", "peak"]},
+    "damper": {"velocity": [1.0, -1.0], "weight": 0.1, "report": ["power"]},
 }
 
 OWN: dict[str, tuple[dict[str, Any], dict[str, list[float]]]] = {
@@ -44,6 +48,35 @@ OWN: dict[str, tuple[dict[str, Any], dict[str, list[float]]]] = {
     "friction that falls with speed in some": (
         {"friction": [{"name": "rub", "row": [1.0, 0.0], "kinetic": 0.3, "slope": "q"}]},
         {"q": [0.1, -0.05, 0.0, -0.3, 0.4, -0.01]},
+    ),
+    "measures of a rigid contact": (
+        {"gap": [1.0, 0.0], "upper": 0.4, "restitution": 0.6, "measures": MEASURED},
+        {"omega": [0.7, 1.03, 1e300, 0.9, 1.3, 2.5]},
+    ),
+    "a rigid machine without mass in some": (
+        {"gap": [1.0, 0.0], "upper": 0.4, "restitution": 0.6, "mass": [["s", 0.0], [0.0, 1.0]]},
+        {"s": [1.0, 0.0, 2.0, 0.5, 0.0, 1.5]},
+    ),
+    "a soft machine without mass in some": (
+        {"contacts": [{"name": "pad", "gap": [1.0, 0.0], "upper": 0.4, "stiffness": 9.0}],
+         "mass": [["s", 0.0], [0.0, 1.0]]},
+        {"s": [1.0, 0.0, 2.0, 0.5, 0.0, 1.5]},
+    ),
+    "a law that is none in some": (
+        {"springs": [{"name": "beam", "row": [1.0, 0.0], "law": [[0.0, 0.0], ["s", 1.0], [1.0, 3.0]]}]},
+        {"s": [0.25, 1.5, 0.5, -1.0, 0.75, 0.9]},
+    ),
+    "an order of the force that has no amplitude in some": (
+        {"gap": [1.0, 0.0], "upper": 0.4, "restitution": 0.6, "harmonics": [{"order": 17, "force": ["q", 0.0]}]},
+        {"q": [0.0, 3.0, 0.0, 0.0, 1.0, 0.0]},
+    ),
+    "a chatter, a preload, friction and a load that is switched, measured": (
+        {"contacts": [{"name": "stop", "gap": [1.0, 0.0], "upper": 0.4, "restitution": 0.6},
+                      {"name": "pad", "gap": [-1.0, 1.0], "lower": -0.3, "stiffness": 20.0, "damping": 0.1,
+                       "preload": 0.05, "release": "force"}],
+         "friction": [{"name": "rub", "row": [0.0, 1.0], "kinetic": 0.2, "static": 0.3}],
+         "phases": [{"start": 0.0}, {"start": 0.4, "load": ["q", -0.1]}], "measures": MEASURED},
+        {"omega": [0.6, 0.9, 1.2, 1.5, 1.8, 2.2]},
     ),
     "phases of other loads": (
         {"contacts": [{"name": "stop", "gap": [1.0, 0.0], "lower": 0.0, "restitution": 0.5}],
@@ -90,16 +123,3 @@ def test_a_machine_of_ones_own_is_the_same_alone_and_in_company(kind: str) -> No
     system, rng = System.from_mapping(OSCILLATOR | {"parameters": PARAMETERS} | more), np.random.default_rng(3)
     given = {name: np.array(column) for name, column in values.items()}
     assert differing(system, given | {"A": np.linspace(0.6, 1.4, CELLS)}, rng) == []
-
-
-def test_a_soft_stop_is_solved_as_well_behind_a_machine_without_it() -> None:
-    """Truth: the cell alone."""
-    system = System.from_mapping({
-        "name": "pad", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]], "force": [2.0],
-        "contacts": [{"name": "pad", "gap": [1.0], "upper": "sqrt(s)", "lower": -0.4, "stiffness": 5.0, "damping": 0.3,
-                      "release": "force"}],
-        "parameters": {"s": {"default": 0.25}, "omega": {"default": 0.9}},
-    })  # fmt: skip
-    found = solve_tile(system, {"s": [-1.0, 0.25]})
-    assert (found["regime"][1], found["period"][1]) == (PERIODIC, 1)
-    assert found["largest"][1] == pytest.approx(-1.0718177, abs=1e-7)

@@ -48,16 +48,6 @@ def test_exponents_obey_the_sum_law(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ONE_SIZE_IS_ENOUGH)
-def test_a_cell_has_the_same_bits_alone(name: str) -> None:
-    axes, found = plane(name), solved(name)
-    (x, xs), (y, ys) = axes.items()
-    for j, i in ((0, 0), (1, 3), (3, 4)):
-        alone = solve_tile(name, {x: xs[0, i], y: ys[j, 0]}, SPECTRUM)
-        for variable, values in alone.items():
-            assert values.tobytes() == found[variable][j, i].tobytes(), variable
-
-
-@pytest.mark.parametrize("name", ONE_SIZE_IS_ENOUGH)
 def test_a_proved_orbit_closes_when_it_is_followed(name: str) -> None:
     """From its stored state, by the history of one cell: the state after one turn, and the impacts of it."""
     system, axes, found = find_system(name), plane(name), solved(name)

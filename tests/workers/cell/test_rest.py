@@ -11,9 +11,7 @@ from tests.support.oracle.simulate import simulate
 from tests.workers.cell.test_survival import cells_of
 from workers import Settings, solve_tile
 from workers.cell.averages import restart
-from workers.cell.interval import run_periods
 from workers.cell.outcome import put_averaged
-from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, MIN_SPEED, STUCK
 from workers.results import CHAOTIC, LOCKING, PERIODIC, RESTED
 
@@ -94,17 +92,6 @@ def test_a_rest_that_only_the_watch_has_seen_takes_two_directions_and_its_share_
     assert found["stuck_fraction"] == pytest.approx(3.0 / (250.0 * cells.oscillators.period[0]), rel=1e-12)
     assert found["spectrum"][2:].tolist() == [-math.inf, -math.inf]
     assert found["largest"] == pytest.approx(found["spectrum"][0], rel=1e-12) and found["largest"] > 0.0
-
-
-def test_the_time_at_rest_begins_where_the_chatter_ends() -> None:
-    """Truth: a 30-digit simulation that follows every hop down to 1e-10 of a time scale."""
-    params = naive.STICKING
-    true = simulate(params, 10, digits=30)
-    osc, state = naive.two_mass(**params)
-    motion = motion_from(osc, state)
-    run_periods(osc, motion, 10)
-    stuck = sum(float(stay.end - stay.start) for stay in true.stuck)
-    assert motion.tally[STUCK] == pytest.approx(stuck, rel=1e-7)
 
 
 @pytest.mark.parametrize(

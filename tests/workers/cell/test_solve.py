@@ -12,10 +12,7 @@ import pytest
 from tests import naive
 from tests.paths import ROOT
 from workers.cell.exponents import free_exponents
-from workers.cell.schedule import AdaptiveSchedule
 from workers.history import trace
-from workers.model import block_decomposition
-from workers.model.block_decomposition import undamped_modes
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -262,13 +259,6 @@ def test_without_one_kind_of_loss_the_other_alone_sets_the_sum(changes: dict[str
     assert abs(found["sum_law_defect"]) < 1e-9
 
 
-def test_undamped_elastic_motion_keeps_its_volume() -> None:
-    """R = 1, zeta = 0: the exponents add up to zero."""
-    params = naive.FIGURES[3] | {"R": 1.0, "zeta": 0.0, "b": 0.05}
-    found = cell(params, Settings(exponents="spectrum", method="fixed", transient_periods=100, periods=1000))
-    assert abs(found["average"].sum()) < 1e-11
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -322,60 +312,6 @@ PLANE = {
 
 def same(one: np.ndarray, other: np.ndarray) -> bool:
     return one.dtype == other.dtype and one.tobytes() == other.tobytes()
-
-
-def test_a_cell_is_the_same_to_the_bit_alone_in_a_tile_and_shuffled() -> None:
-    settings = Settings(exponents="spectrum", tolerance=0.1, max_periods=3000, section_samples=3)
-    whole = solve_tile("two-mass", PLANE, settings)
-    order = np.random.default_rng(1).permutation(12)
-    shuffled = solve_tile("two-mass", {name: values.ravel()[order] for name, values in PLANE.items()}, settings)
-    assert len(set(whole["regime"].ravel().tolist())) >= 2
-    for variable in result_variables(settings):
-        flat = whole[variable.name].reshape(12, *whole[variable.name].shape[2:])
-        assert same(flat[order], shuffled[variable.name]), variable.name
-    for k in (0, 5, 11):
-        alone = solve_tile("two-mass", {name: values.ravel()[k] for name, values in PLANE.items()}, settings)
-        for variable in result_variables(settings):
-            flat = whole[variable.name].reshape(12, *whole[variable.name].shape[2:])
-            assert same(flat[k], alone[variable.name]), variable.name
-
-
-def test_the_structure_of_a_machine_is_worked_out_once_for_cells_solved_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forcing frequencies and gaps do not change it, masses do: in flight, and on a stop."""
-    worked_out = []
-
-    def counted(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        worked_out.append(mass)
-        return undamped_modes(mass, stiffness)
-
-    monkeypatch.setattr(block_decomposition, "undamped_modes", counted)
-    for mass in (2.03125, 2.0625):
-        for omega, b in ((4.0, 5.0), (4.0, 6.0), (3.0, 5.0)):
-            cell({"mu_m": mass, "omega": omega, "b": b})
-    assert [mass.shape for mass in worked_out] == [(1, 2, 2), (1, 1, 1)] * 2
-
-
-@pytest.mark.parametrize("stop", [{"restitution": 0.8}, {"stiffness": 9.0}], ids=["rigid", "soft"])
-def test_a_machine_without_mass_is_invalid_and_changes_no_other(stop: dict[str, float]) -> None:
-    system = {
-        "name": "own", "coordinates": ["x"], "mass": [["m"]], "damping": [[0.1]], "stiffness": [[1.0]], "force": [1.0],
-        "contacts": [{"name": "stop", "gap": [1.0], "upper": 0.3, **stop}],
-        "parameters": {"omega": {"default": 0.9}, "m": {"default": 1.0}},
-    }  # fmt: skip
-    settings = Settings(max_periods=64, survival=0)
-    both, alone = (solve_tile(system, {"m": masses}, settings) for masses in ([0.0, 2.0], [2.0]))
-    assert both["regime"][0] == INVALID
-    assert all(same(both[name][1:], alone[name]) for name in alone)
-
-
-def test_a_cell_on_an_orbit_goes_through_no_other_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unwanted(course: AdaptiveSchedule, rows: np.ndarray) -> None:
-        raise AssertionError(rows)
-
-    for stage in ("searching", "averaging", "watching"):
-        monkeypatch.setattr(AdaptiveSchedule, stage, unwanted)
-    assert cell({"omega": 4.0, "b": 0.15})["regime"] == PERIODIC
-    assert cell({"omega": 4.0, "b": 5.0})["regime"] == NO_IMPACT
 
 
 def test_results_have_the_broadcast_shape_of_the_parameters() -> None:

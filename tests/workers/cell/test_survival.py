@@ -31,24 +31,9 @@ from workers.results import (
 )
 
 LOW_DAMPING = {"zeta": 0.005, "b": 0.3, "mu_k": 5.0, "mu_m": 2.0}
-SIDE = np.linspace(0, 1, 60)
-
 TRANSIENTS = json.loads((DATA / "transients.json").read_text())["cells"]
 """Motions that look chaotic for thousands of periods and are not, or change to a weaker chaos: long runs of another
 simulator."""
-
-
-def params_of(known: dict) -> dict[str, float]:
-    """Parameters of one of TRANSIENTS; an axis is written as linspace(start, stop, num)[index]."""
-
-    def number(text: float | str) -> float:
-        if not isinstance(text, str):
-            return text
-        numbers = text.replace("linspace(", "").replace(")[", ",").replace("]", "").split(",")
-        start, stop, num, index = (float(part) for part in numbers)
-        return float(np.linspace(start, stop, int(num))[int(index)])
-
-    return {name: number(value) for name, value in known["params"].items()}
 
 
 def cells_of(params: dict[str, float | np.ndarray], settings: Settings | None = None) -> CellBatch:
@@ -157,7 +142,7 @@ def test_a_cell_costs_at_most_its_two_budgets_together() -> None:
 def test_a_transient_of_eight_thousand_periods_is_not_called_chaos() -> None:
     """omega 3.28, R .905, zeta .005: motion without impact after 8201 periods, found by another simulator."""
     known = TRANSIENTS[0]
-    found = solve_tile("two-mass", params_of(known))
+    found = solve_tile("two-mass", known["params"])
     assert found["regime"] == NO_IMPACT
     assert found["largest"] == pytest.approx(-0.0074, abs=5e-5)
 
@@ -166,7 +151,7 @@ def test_a_transient_of_eight_thousand_periods_is_not_called_chaos() -> None:
 @pytest.mark.parametrize(("index", "weakest", "strongest"), [(1, 0.018, 0.07), (3, 0.06, 0.07)])
 def test_motion_that_changes_to_a_weaker_chaos_is_averaged_anew(index: int, weakest: float, strongest: float) -> None:
     """From a dozen starts, watched for 110,000 and 20,000 periods: most have changed. Truth: another simulator's."""
-    params = params_of(TRANSIENTS[index]) | {"x1": np.linspace(-0.04, 0.04, 12)}
+    params = TRANSIENTS[index]["params"] | {"x1": np.linspace(-0.04, 0.04, 12)}
     found = solve_tile("two-mass", params, Settings(tolerance=0.02, survival=640_000))
     largest, error = found["largest"], found["error"]
     true = (found["regime"] == CHAOTIC) & (largest + 4 * error > weakest) & (largest - 4 * error < strongest)

@@ -15,6 +15,12 @@ from tests.reference_machines import (
     reference_orbit,
     reference_values,
 )
+from tests.support.oracle.free_mass import (
+    bouncing_ball_doubling,
+    bouncing_ball_fold,
+    impact_pair_fold,
+    impact_pair_symmetry_breaking,
+)
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, switch_branch
 from workers.continuation.families import family_of
 from workers.continuation.floquet import multipliers
@@ -28,6 +34,23 @@ from workers.tile import solve_tile
 pytestmark = pytest.mark.slow
 
 TWO_MASS = find_system("two-mass")
+
+
+def ball_fold(R: float) -> float:
+    return float(bouncing_ball_fold(R))
+
+
+def ball_doubling(R: float) -> float:
+    return float(bouncing_ball_doubling(R))
+
+
+def pair_fold(R: float) -> float:
+    """alpha, where the distance of the stops is 1."""
+    return float(1 / impact_pair_fold(R))
+
+
+def pair_breaking(R: float) -> float:
+    return float(1 / impact_pair_symmetry_breaking(R))
 
 
 def ball_orbit(A: float, R: float) -> Orbit:
@@ -52,9 +75,7 @@ def kinds(run: BranchRun) -> list[str]:
 
 @pytest.mark.parametrize("R", [0.2, 0.5, 0.85])
 def test_the_bouncing_ball_folds_and_doubles_where_its_closed_form_does(R: float) -> None:
-    """Gamma1 = pi (1 - R)/(1 + R), Gamma2 = sqrt(Gamma1^2 + (2 (1 + R^2)/(1 + R)^2)^2)."""
-    fold = math.pi * (1.0 - R) / (1.0 + R)
-    doubling = math.hypot(fold, 2.0 * (1.0 + R**2) / (1.0 + R) ** 2)
+    fold, doubling = ball_fold(R), ball_doubling(R)
     middle = 0.5 * (fold + doubling)
     run = branch(bouncing_ball(("A",), R=R), ball_orbit(middle, R), middle, (0.5 * fold, 2.0 * doubling))
     assert run.ends == (EDGE, EDGE)
@@ -69,10 +90,7 @@ def test_the_bouncing_ball_folds_and_doubles_where_its_closed_form_does(R: float
 
 @pytest.mark.parametrize("R", [0.3, 0.6, 0.8])
 def test_the_impact_pair_folds_and_breaks_its_symmetry_where_its_closed_form_does(R: float) -> None:
-    """nu / alpha = sqrt(4 + pi^2 rho^2) and rho (pi - 4 / pi) / sqrt(1 + 4 rho^2 / pi^2)."""
-    rho = (1.0 + R) / (1.0 - R)
-    fold = 1.0 / math.hypot(2.0, math.pi * rho)
-    breaking = math.sqrt(1.0 + 4.0 * rho**2 / math.pi**2) / (rho * (math.pi - 4.0 / math.pi))
+    fold, breaking = pair_fold(R), pair_breaking(R)
     middle = 0.5 * (fold + breaking)
     run = branch(impact_pair(("alpha",), R=R), pair_orbit(middle, R), middle, (0.5 * fold, 2.0 * breaking))
     found = {event.kind: event.point for event in run.events}
@@ -84,8 +102,6 @@ def test_the_impact_pair_folds_and_breaks_its_symmetry_where_its_closed_form_doe
 
 
 def test_the_asymmetric_branch_leaves_and_comes_back_at_the_symmetry_breaking() -> None:
-    rho = 4.0
-    breaking = math.sqrt(1.0 + 4.0 * rho**2 / math.pi**2) / (rho * (math.pi - 4.0 / math.pi))
     family = impact_pair(("alpha",), R=0.6)
     run = branch(family, pair_orbit(0.3, 0.6), 0.3, (0.2, 0.6))
     event = next(event for event in run.events if event.kind == "symmetry_breaking")
@@ -94,7 +110,7 @@ def test_the_asymmetric_branch_leaves_and_comes_back_at_the_symmetry_breaking() 
     side = branch(family, start.orbit, start.value, (0.2, 0.6))
     assert "symmetry_breaking" in side.ends
     met = next(event for event in side.events if event.kind == "symmetry_breaking")
-    assert met.point.values[0] == pytest.approx(breaking, abs=1e-12)
+    assert met.point.values[0] == pytest.approx(pair_breaking(0.6), abs=1e-12)
 
 
 def test_the_stability_of_a_branch_changes_at_its_events_alone_though_multipliers_beside_them_flicker(

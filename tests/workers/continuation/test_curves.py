@@ -15,7 +15,14 @@ from tests.reference_machines import (
     reference_name,
     upper_peak,
 )
-from tests.workers.continuation.test_branches import ball_orbit, pair_orbit
+from tests.workers.continuation.test_branches import (
+    ball_doubling,
+    ball_fold,
+    ball_orbit,
+    pair_breaking,
+    pair_fold,
+    pair_orbit,
+)
 from workers.continuation.branches import BUDGET, CLOSED, EDGE, branch
 from workers.continuation.curves import curve
 from workers.continuation.events import Event, SolutionPoint
@@ -41,14 +48,6 @@ def pair_event(kind: str, R: float) -> Event:
     return next(event for event in run.events if event.kind == kind)
 
 
-def ball_fold(R: float) -> float:
-    return math.pi * (1.0 - R) / (1.0 + R)
-
-
-def ball_doubling(R: float) -> float:
-    return math.hypot(ball_fold(R), 2.0 * (1.0 + R**2) / (1.0 + R) ** 2)
-
-
 @pytest.mark.parametrize(("kind", "exact"), [("fold", ball_fold), ("period_doubling", ball_doubling)])
 def test_a_whole_curve_of_the_bouncing_ball_is_its_closed_form(kind: str, exact: Any) -> None:
     event = ball_event(kind, 0.5)
@@ -58,15 +57,6 @@ def test_a_whole_curve_of_the_bouncing_ball_is_its_closed_form(kind: str, exact:
     assert {run.points[0].values[0], run.points[-1].values[0]} == {0.1, 0.9}
     assert max(abs(point.values[1] - exact(point.values[0])) for point in run.points) < 1e-12
     assert not run.events
-
-
-def pair_fold(R: float) -> float:
-    return 1.0 / math.hypot(2.0, math.pi * (1.0 + R) / (1.0 - R))
-
-
-def pair_breaking(R: float) -> float:
-    rho = (1.0 + R) / (1.0 - R)
-    return math.sqrt(1.0 + 4.0 * rho**2 / math.pi**2) / (rho * (math.pi - 4.0 / math.pi))
 
 
 @pytest.mark.parametrize(("kind", "exact"), [("fold", pair_fold), ("symmetry_breaking", pair_breaking)])

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from tests.oscillators import cosine_mass
 from tests.reference_machines import TWO_MASS
-from tests.workers.continuation.test_hybrid_branches import machine
 from workers import solve_tile
 from workers.continuation import Itinerary, Orbit, family_of, orbit_from_state
 from workers.continuation.orbit_equality import distance, is_same_orbit
@@ -78,7 +78,7 @@ def test_an_orbit_is_moved_though_one_moved_with_it_is_none(orbit: Orbit, name: 
         values = np.array([[2.321, 0.8], [2.32, 0.0]])
     else:
         stops = {"name": "stop", "gap": [1.0], "upper": 1.0, "lower": -1.0, "stiffness": 10.0}
-        system = machine(contacts=[stops], load=["p"], parameters={"p": {"default": 0.0}})
+        system = cosine_mass(contacts=[stops], load=["p"], parameters={"p": {"default": 0.0}})
         orbit = Orbit(Itinerary((), 1, True), np.zeros(0), np.zeros(0))
         family, start = family_of(system, {"A": 0.1}, ("omega", "p")), np.array([[1.2, 0.0]])
         values = np.array([[1.201, 0.0], [1.2, 0.01]])

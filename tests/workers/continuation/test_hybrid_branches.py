@@ -2,12 +2,12 @@
 
 import json
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
 import atlas
+from tests.oscillators import cosine_mass
 from tests.paths import DATA
 from workers.continuation import BranchRun, Family, Itinerary, Orbit, branch, family_of, orbit_from_state
 from workers.continuation.extended_system import ExtendedSystem
@@ -21,21 +21,10 @@ RECORDS = {
 }  # fmt: skip
 
 
-def machine(**given: Any) -> System:
-    """One mass forced by A cos(omega t), with what else is given."""
-    table = {
-        "name": "one-mass", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]],
-        "force": ["A"], "phase": [0.5 * math.pi],
-        "parameters": {"omega": {"default": 1.0}, "A": {"default": 2.0}},
-    }  # fmt: skip
-    parameters = {"parameters": table["parameters"] | given.pop("parameters", {})}  # type: ignore[operator]
-    return System.from_mapping(table | given | parameters)
-
-
 def soft(release: str = "displacement") -> System:
     """S of piecewise.md."""
     contact = {"name": "stop", "gap": [1.0], "upper": 1.0, "stiffness": "k", "damping": "c", "preload": "p"}
-    return machine(
+    return cosine_mass(
         damping=[["d"]], force=["0.8 * omega**2 / 1.26"], contacts=[contact | {"release": release}],
         parameters={name: {"default": value, "low": 0.0}
                     for name, value in {"d": 0.02, "k": 29.0, "c": 0.0, "p": 0.0}.items()},
@@ -45,10 +34,10 @@ def soft(release: str = "displacement") -> System:
 def rubbing() -> System:
     """F of piecewise.md."""
     friction = [{"name": "ground", "row": [1.0], "kinetic": 1.0, "static": "s"}]
-    return machine(friction=friction, parameters={"s": {"default": 1.2, "low": 1.0}})
+    return cosine_mass(friction=friction, parameters={"s": {"default": 1.2, "low": 1.0}})
 
 
-TWO_STOPS = machine(contacts=[{"name": "stop", "gap": [1.0], "upper": 1.0, "lower": -1.0, "stiffness": 10.0}])
+TWO_STOPS = cosine_mass(contacts=[{"name": "stop", "gap": [1.0], "upper": 1.0, "lower": -1.0, "stiffness": 10.0}])
 
 
 def run(system: System, name: str, window: tuple[float, float], certified: bool = True, **given: float) -> BranchRun:
@@ -173,7 +162,7 @@ def test_an_orbit_of_two_periods_loses_its_only_impact_where_the_linear_answer_g
 def pushed_by_damping() -> tuple[Family, Orbit]:
     """x'' - .2 x' + f(x') + x = .1 cos omega t, f from 0 at speed 1 to .8 at 2, and its orbit at omega = .994272244."""
     law = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.8]]
-    system = machine(damping=[[-0.2]], friction=[{"name": "ground", "row": [1.0], "law": law}])
+    system = cosine_mass(damping=[[-0.2]], friction=[{"name": "ground", "row": [1.0], "law": law}])
     values = {"A": 0.1, "omega": 0.994272244}
     state = np.asarray(atlas.point(values, system=system)["state"])
     orbit = orbit_from_state(system, values, state, 1, symmetric=True)

@@ -1,17 +1,14 @@
 """Periodic orbits as equations of their states and times of impacts: one turn, derivatives, stability."""
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from tests.reference_machines import (
     CURVES,
     bouncing_ball,
-    exponents,
     reference_event,
     reference_name,
     reference_orbit,
@@ -127,48 +124,10 @@ def general(damping: float, harmonics: int) -> System:
     })  # fmt: skip
 
 
-def bounced(system: System, motion: OrbitMotion, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The naive twin: physical states at times s of one turn, and at its end, by an integrator."""
-    own = system.definition.hybrid({"omega": np.array([1.7]), "tau": np.array([0.4])})
-    inverse, row, rest, n = np.linalg.inv(own.mass[0]), own.row[0, 0], motion.lin.rest[0], 3
-    kick = inverse @ row / (row @ inverse @ row)
-    orders = np.arange(1, own.force_sin.shape[2] + 1)
-
-    def rate(t: float, u: np.ndarray) -> np.ndarray:
-        angle = orders * (1.7 * t + 0.4)
-        force = np.sin(angle) @ own.force_sin[0, 0] + np.cos(angle) @ own.force_cos[0, 0] + own.load[0, 0]
-        return np.concatenate([u[n:], inverse @ (force - own.stiffness[0, 0] @ u[:n] - own.damping[0, 0] @ u[n:])])
-
-    def flight(u: np.ndarray, begin: float, end: float) -> np.ndarray:
-        inside = s[(s > begin) & (s < end)]
-        path = solve_ivp(rate, (begin, end), u, t_eval=[*inside, end], method="DOP853", rtol=1e-13, atol=1e-13)
-        out.extend(path.y.T[: len(inside)] - rest)
-        return np.asarray(path.y[:, -1])
-
-    u, out, times = motion.start[0] + rest, list[np.ndarray](), motion.times[0]
-    for begin, end in pairwise([*times, times[0] + motion.span[0]]):
-        u[n:] -= 1.6 * (row @ u[n:]) * kick
-        u = flight(u, begin, end)
-    return np.array(out), u - rest
-
-
 def general_motion(system: System) -> OrbitMotion:
     """No orbit: a turn of the general machine from anywhere."""
     start = np.random.default_rng(2).standard_normal((1, 6))
     return OrbitMotion(machine_of(system, {}), Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
-
-
-@pytest.mark.parametrize("damping", [0.0, 1e-4, 0.05, 0.3, 2.0])
-def test_a_turn_is_that_of_a_general_integrator(damping: float) -> None:
-    """Coupled damping, a damped or undamped rigid mode under a load, and two harmonics."""
-    system = general(damping, 2)
-    motion, s = general_motion(system), np.array([1.0, 2.0, 2.3, 4.0, 6.0, 8.0])
-    path, end = bounced(system, motion, s)
-    states, (found, _, low, high) = motion.states_at(s[None])
-    assert states[0] == pytest.approx(path, abs=1e-10)
-    assert found[0] == pytest.approx(path[:, :3] @ np.array([1.0, -0.4, 0.6]), abs=1e-10)
-    assert high[0] - low[0] == pytest.approx(1.7, abs=1e-12)
-    assert motion.turn.residuals[0, :6] == pytest.approx(end - motion.start[0], abs=1e-10)
 
 
 def test_flows_are_those_of_the_kernel_s_formula() -> None:
@@ -213,13 +172,12 @@ def test_the_determinant_is_that_of_the_turn_without_poles(record: dict[str, Any
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
-def test_exponents_keep_the_exact_law_of_their_sum(record: dict[str, Any]) -> None:
+def test_multipliers_keep_the_exact_law_of_their_product(record: dict[str, Any]) -> None:
     motion, orbit = motion_at(record), reference_orbit(record)
-    lin, found = motion.lin, exponents(motion)
-    per_period = len(orbit.times) * (2 if orbit.itinerary.symmetric else 1) / orbit.itinerary.periods
+    lin, turn = motion.lin, orbit.itinerary.periods * (0.5 if orbit.itinerary.symmetric else 1.0)
     damping = np.trace(lin.machines.damping[0, 0] @ np.linalg.inv(lin.machines.mass[0]))
-    law = -damping * 2.0 * np.pi / lin.omega[0] + 2.0 * np.log(lin.elements.R[0, 0]) * per_period
-    assert found.sum() == pytest.approx(law, abs=1e-12)
+    law = -damping * turn * 2.0 * np.pi / lin.omega[0] + 2.0 * np.log(lin.elements.R[0, 0]) * len(orbit.times)
+    assert abs(np.prod(multipliers(motion)[0])) == pytest.approx(np.exp(law), rel=1e-11, abs=1e-13)
 
 
 def test_the_bouncing_ball_has_the_multipliers_of_its_map() -> None:

@@ -36,22 +36,11 @@ def test_block_flow_is_the_exponential_at_any_damping(ratio: float) -> None:
             assert distance(found, true, lam) < 2e-14 * (1.0 + (ratio + 1.0) * s / 10.0)
 
 
-@pytest.mark.parametrize("ratio", DAMPINGS)
-def test_two_flows_compose_to_one(ratio: float) -> None:
-    first, second = flow(ratio, 1.0, 0.37), flow(ratio, 1.0, 0.71)
-    assert distance(second @ first, flow(ratio, 1.0, 1.08), 1.0) < 2e-14 * (1.0 + ratio)
-
-
-@pytest.mark.parametrize("ratio", [0.0, 0.3, 1.0, 4.0])
-def test_a_flow_contracts_area_by_its_damping(ratio: float) -> None:
-    """det = exp(-2 eta s)."""
-    assert np.linalg.det(flow(ratio, 2.0, 0.8)) == pytest.approx(math.exp(-2.0 * ratio * 0.8), rel=1e-13)
-
-
-def test_the_flow_is_continuous_where_its_formula_changes() -> None:
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["decays", "grows"])
+def test_the_flow_is_continuous_where_its_formula_changes(sign: float) -> None:
     """d s^2 = -0.1 separates the series from the exponentials, d = 0 from sine and cosine. Truth: 60 digits."""
     for d in (*(sign * 0.1 * (1 + side * 1e-12) for sign in (1, -1) for side in (1, -1)), 1e-15, -1e-15):
-        eta = math.sqrt(1.0 - d)
+        eta = sign * math.sqrt(1.0 - d)
         assert distance(flow(eta, 1.0, 1.0), naive.block_flow(eta, 1.0, 1.0), 1.0) < 4e-15
 
 

@@ -8,14 +8,13 @@ import pytest
 from tests.support.oracle.piecewise import PiecewiseMachine
 from tests.support.oracle.piecewise.random_machines import random_machine, random_state
 from tests.support.solver_bridge import machines_of
-from workers import Settings, solve_tile
+from tests.workers.kernel.test_batch import assert_same_bits
 from workers.cell.interval import batch_of, begin, has_ended, run
 from workers.kernel.lanes.run import MotionBatch
 from workers.kernel.motion import RUNNING, STATUS
 from workers.kernel.period import advance
 from workers.model.mode_table import build_hybrid
 from workers.model.oscillator import map_fields, take_one
-from workers.model.system import find_system
 from workers.results import NO_REASON
 
 CELLS, PERIODS, KEPT = 12, 6, 3
@@ -50,20 +49,12 @@ def finished(batch: MotionBatch, cells: np.ndarray, **how: int) -> MotionBatch:
     return batch
 
 
-def assert_same_bits(one: MotionBatch, rows: np.ndarray, other: MotionBatch) -> None:
-    for name in ("completed", "levels", "weighted", "sections"):
-        np.testing.assert_array_equal(getattr(one, name)[rows], getattr(other, name), err_msg=name)
-    for name in ("h", "mode", "V", "growth", "tally"):
-        found, expected = getattr(one.motions, name)[rows], getattr(other.motions, name)
-        np.testing.assert_array_equal(found, expected, err_msg=name)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_cells_of_every_kind_have_the_bits_of_each_alone(seed: int) -> None:
     together = finished(starting(seed, np.arange(CELLS)), np.arange(CELLS))
     for k in range(CELLS):
         alone = finished(starting(seed, np.array([k])), np.array([0]))
-        assert_same_bits(together, np.array([k]), alone)
+        assert_same_bits(together, alone, np.array([k]))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -71,7 +62,7 @@ def test_order_and_number_of_lanes_do_not_matter(seed: int) -> None:
     order = np.random.default_rng(seed).permutation(CELLS)
     whole = finished(starting(seed, np.arange(CELLS)), np.arange(CELLS))
     few = finished(starting(seed, order), np.arange(CELLS - 1, -1, -1), lanes=3)
-    assert_same_bits(whole, order, few)
+    assert_same_bits(whole, few, order)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -80,7 +71,7 @@ def test_what_stops_for_others_to_take_its_place_goes_on_to_the_same_bits(seed: 
     parts = starting(seed, np.arange(CELLS))
     while not np.all(has_ended(parts)):
         run(parts, np.flatnonzero(~has_ended(parts)), to_end=False, lanes=8)
-    assert_same_bits(whole, np.arange(CELLS), parts)
+    assert_same_bits(whole, parts, np.arange(CELLS))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -105,16 +96,3 @@ def test_a_period_is_that_of_the_map_of_one_motion(seed: int) -> None:
     away = np.max(np.abs(together.motions.h - single.motions.h)[tame], axis=(1, 2), initial=0.0)
     assert np.all(away <= 1e-10 * scale * SENSITIVE)
     np.testing.assert_array_equal(together.motions.mode[tame], single.motions.mode[tame])
-
-
-@pytest.mark.parametrize("name", ["soft-impact", "soft-suspension", "two-stops", "stick-slip", "gear-mesh", "capsule"])
-def test_cells_of_a_tile_have_the_bits_of_each_alone(name: str) -> None:
-    (first, low, high), (second, low_, high_) = find_system(name).axes[:2]
-    rng = np.random.default_rng(1)
-    cells = {first: rng.uniform(low, high, 10), second: rng.uniform(low_, high_, 10)}
-    settings = Settings(max_periods=400)
-    whole = solve_tile(name, cells, settings)
-    for k in range(10):
-        alone = solve_tile(name, {axis: values[k] for axis, values in cells.items()}, settings)
-        for result, values in whole.items():
-            np.testing.assert_array_equal(alone[result], values[k], err_msg=result)

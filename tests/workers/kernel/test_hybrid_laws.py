@@ -1,5 +1,6 @@
 """Laws of the solver of machines whose law changes: neighbours, tables, mirrors, elements that do nothing, one stop."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -35,33 +36,6 @@ def solved(machines: list[PiecewiseMachine], states: list[list[float]], settings
     found = result_arrays(result_variables(settings), settings, len(machines), len(states[0]))
     solve(CellBatch(oscillators, reasons, np.array(states), settings, found))  # type: ignore[arg-type]
     return found
-
-
-# Neighbours
-
-
-def rubbed(omega: float) -> PiecewiseMachine:
-    """Two masses: friction on one of them, a soft and a rigid stop, a load that is switched."""
-    return PiecewiseMachine(
-        [[1.0, 0.0], [0.0, 2.0]], [[0.2, -0.1], [-0.1, 0.1]], [[2.0, -1.0], [-1.0, 1.5]], [0.0, 0.2], omega,
-        (HarmonicForce(1, [0.0, 1.0], [0.5, 0.0]),),
-        (PiecewiseContact([1.0, 0.0], 0.4, None, restitution=0.6), PiecewiseContact([-1.0, 1.0], None, -0.3,
-        stiffness=20.0, damping=0.1,
-                                                                    preload=0.05, release="force")),
-        (PiecewiseFriction([0.0, 1.0], 0.2, 0.3),), (PiecewisePhase(0.0), PiecewisePhase(0.4, load=[0.1, -0.1])),
-    )  # fmt: skip
-
-
-def test_a_cell_does_not_depend_on_the_cells_beside_it() -> None:
-    machines = [rubbed(omega) for omega in np.linspace(0.6, 2.2, 12).tolist()]
-    states = [[0.0, 0.1 * k, 0.0, 0.3] for k in range(len(machines))]
-    together, backward = solved(machines, states), solved(machines[::-1], states[::-1])
-    for name, values in together.items():
-        np.testing.assert_array_equal(backward[name][::-1], values, err_msg=name)
-    for i in (0, 5, 11):
-        alone = solved([machines[i]], [states[i]])
-        for name, values in together.items():
-            np.testing.assert_array_equal(alone[name][0], values[i], err_msg=name)
 
 
 # Tables
@@ -141,38 +115,34 @@ def test_a_mirrored_machine_moves_as_the_mirror_image(seed: int) -> None:
 # Elements that do nothing
 
 
-def close(found: Oscillator, expected: Oscillator, start: list[float]) -> None:
-    a, b = follow(found, start, periods=3), follow(expected, start, periods=3)
-    np.testing.assert_allclose(a.state, b.state, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(a.jacobian, b.jacobian, rtol=0.0, atol=1e-11)
-
-
 SEEDS = [seed for seed in range(40) if not random_machine(seed).friction][:12]
 
 
+def idle_contact(machine: PiecewiseMachine, release: str) -> PiecewiseMachine:
+    contact = PiecewiseContact([1.0, *[0.5] * (machine.n - 1)], 0.1, -0.2, release=release)
+    return replace(machine, contacts=(*machine.contacts, contact))
+
+
+IDLE: dict[str, Callable[[PiecewiseMachine], PiecewiseMachine]] = {
+    "friction of no strength": lambda machine: replace(
+        machine, friction=(PiecewiseFriction([1.0, *[0.0] * (machine.n - 1)], 0.0, 0.0, 0.1),)
+    ),
+    "a soft contact without stiffness": lambda machine: idle_contact(machine, "displacement"),
+    "the same, released by force": lambda machine: idle_contact(machine, "force"),
+    "phases that change nothing": lambda machine: replace(
+        machine, phases=(machine.phases[1:] and machine.phases) or tuple(map(PiecewisePhase, (0.0, 0.3, 0.71)))
+    ),
+}
+
+
+@pytest.mark.parametrize("element", IDLE)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_friction_of_no_strength_changes_nothing(seed: int) -> None:
+def test_an_element_that_does_nothing_changes_nothing(seed: int, element: str) -> None:
     machine = random_machine(seed)
-    row = [1.0, *[0.0] * (machine.n - 1)]
-    idle = replace(machine, friction=(PiecewiseFriction(row, 0.0, 0.0, 0.1),))
-    close(built(idle), built(machine), random_state(machine, seed))
-
-
-@pytest.mark.parametrize("release", ["displacement", "force"])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_soft_contact_without_stiffness_changes_nothing(seed: int, release: str) -> None:
-    machine = random_machine(seed)
-    row = [1.0, *[0.5] * (machine.n - 1)]
-    idle = replace(machine, contacts=(*machine.contacts, PiecewiseContact(row, 0.1, -0.2, release=release)))
-    close(built(idle), built(machine), random_state(machine, seed))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_phase_that_changes_nothing_changes_nothing(seed: int) -> None:
-    machine = random_machine(seed)
-    if len(machine.phases) == 1:
-        split = replace(machine, phases=(PiecewisePhase(0.0), PiecewisePhase(0.3), PiecewisePhase(0.71)))
-        close(built(split), built(machine), random_state(machine, seed))
+    start = random_state(machine, seed)
+    found, expected = (follow(built(of), start, periods=3) for of in (IDLE[element](machine), machine))
+    np.testing.assert_allclose(found.state, expected.state, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found.jacobian, expected.jacobian, rtol=0.0, atol=1e-11)
 
 
 # One rigid contact: what the solver without modes solves

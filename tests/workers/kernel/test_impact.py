@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 from mpmath import mp
-from scipy.integrate import solve_ivp
 
 from tests import naive
 from tests.oscillators import mass_spring
+from tests.support.oracle import piecewise, simulate
+from tests.support.oracle.model import pieces_of
 from workers.kernel.chatter import chatter_left
 from workers.kernel.contact import (
     LEAVE,
@@ -229,24 +230,15 @@ def test_the_load_gives_the_gap_mass_its_free_acceleration_toward_the_stop(osc: 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_motion_on_a_stop_is_that_of_the_constrained_system(side: int) -> None:
-    """Truth: DOP853 on mass 2 alone with x1 on the stop, to the zero of the free acceleration of mass 1."""
+    """Truth: the oracle, which holds x1 on the stop until its load there is gone."""
     p = naive.FIGURES[4] | {"f2": 0.6}
     osc, _ = naive.two_mass(**p)
     wall = side * p["b"]
-
-    def mass_two(t: float, z: np.ndarray) -> list[float]:
-        force = p["f2"] * math.sin(p["omega"] * t + p["tau"])
-        spring = wall - (1 + p["mu_k"]) * z[0] - 2 * p["zeta"] * (1 + p["mu_k"]) * z[1]
-        return [z[1], (force + spring) / p["mu_m"]]
-
-    def load(t: float, z: np.ndarray) -> float:
-        return side * (-(wall - z[0]) + 2 * p["zeta"] * z[1] + (1 - p["f2"]) * math.sin(p["omega"] * t + p["tau"]))
-
-    load.terminal, load.direction = True, -1  # type: ignore[attr-defined]
     begin = [wall + side * 1.0, 0.1]
-    exact = solve_ivp(mass_two, (0.0, 6.0), begin, method="DOP853", rtol=1e-12, atol=1e-13, events=load)
-    assert load(0.0, np.array(begin)) > 0
-    assert exact.status == 1
+    cell = p | {"x1": wall, "x2": begin[0], "v2": begin[1]}
+    (stay, *_) = simulate(cell, 1).stuck
+    assert stay.start == 0 and stay.side == side
+    *_, exact = piecewise.simulate(pieces_of(cell), [wall, begin[0], 0.0, begin[1]], span=stay.end).sections
 
     h = (np.array(osc.to_blocks) @ [wall, begin[0], 0.0, begin[1]]).reshape(2, 2)
     h = h - np.array(osc.gap.forced)[:, :, 0] @ [math.sin(p["tau"]), math.cos(p["tau"])]
@@ -254,12 +246,12 @@ def test_motion_on_a_stop_is_that_of_the_constrained_system(side: int) -> None:
     time, released, evaluations = stay_on_stop(osc, h, *frame, p["tau"], side, 6.0)
     assert released == 1
     assert evaluations < 30
-    assert time == pytest.approx(exact.t[-1], rel=1e-10)
+    assert time == pytest.approx(float(stay.end), rel=1e-10)
     angle = p["tau"] + time * p["omega"]
     full = h + np.array(osc.gap.forced)[:, :, 0] @ [math.sin(angle), math.cos(angle)]
     x1, x2, v1, v2 = np.array(osc.to_physical) @ full.ravel()
     assert (x1, v1) == pytest.approx((wall, 0.0), abs=1e-15)
-    assert (x2, v2) == pytest.approx(tuple(exact.y[:, -1]), abs=1e-10)
+    assert (x2, v2) == pytest.approx((float(exact[1]), float(exact[3])), abs=1e-10)
 
 
 def test_a_section_state_on_a_stop_lies_there_exactly_at_rest() -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseFriction, PiecewiseMachine, orbit
+from tests.oscillators import cosine_mass
+from tests.support.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseMachine, orbit
 from workers import Settings, System, solve_tile
 from workers.continuation import branch, family_of, orbit_from_state
 from workers.model.system import find_system
@@ -18,21 +19,10 @@ from workers.results import FAILED, NO_IMPACT, NO_REASON, PERIODIC, REASONS, RUN
 SPECTRUM = Settings(exponents="spectrum")
 
 
-def machine(**given: Any) -> System:
-    """One mass forced by A cos(omega t), with what else is given."""
-    table = {
-        "name": "one-mass", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]],
-        "force": ["A"], "phase": [0.5 * math.pi],
-        "parameters": {"omega": {"default": 1.0}, "A": {"default": 0.4}},
-    }  # fmt: skip
-    parameters = {"parameters": table["parameters"] | given.pop("parameters", {})}  # type: ignore[operator]
-    return System.from_mapping(table | given | parameters)
-
-
 def bistable() -> System:
     """H: x'' + .1 x' - x, and 3 (|x| - .5) more beyond +-.5."""
     wall = {"name": "wall", "gap": [1.0], "upper": 0.5, "lower": -0.5, "stiffness": 3.0}
-    return machine(stiffness=[[-1.0]], contacts=[wall])
+    return cosine_mass(stiffness=[[-1.0]], contacts=[wall], parameters={"A": {"default": 0.4}})
 
 
 def rotor(**contact: Any) -> System:
@@ -52,7 +42,7 @@ SOFT = {"contacts": [{"name": "stop", "gap": [1.0, 0.0], "upper": 0.2, "stiffnes
 def falling_friction() -> System:
     """x'' + .1 x' + x + (1 - .2 |v|) sgn v = .3 cos 1.2 t, v = x' - .5: it gives more than the damper takes."""
     belt = {"name": "belt", "row": [1.0], "kinetic": 1.0, "slope": -0.2, "belt": 0.5}
-    return machine(friction=[belt], parameters={"omega": {"default": 1.2}, "A": {"default": 0.3}})
+    return cosine_mass(friction=[belt], parameters={"omega": {"default": 1.2}, "A": {"default": 0.3}})
 
 
 def logs(*moduli: complex) -> Any:
@@ -111,33 +101,6 @@ def test_friction_that_falls_faster_than_damping_rises_sticks_and_slips_on_the_o
     assert found["belt_stuck"] * 2 * np.pi / 1.2 == pytest.approx(1.334480238462699 - 0.3506497883225591, abs=1e-12)
 
 
-@pytest.mark.parametrize("name", ["bistable", "rigid rotor", "soft rotor", "belt"])
-def test_the_oracle_finds_these_orbits_too(name: str) -> None:
-    """By Newton's method in 50 digits on its own simulations; multipliers by differences of these."""
-    turning = {"forces": (HarmonicForce(1, [0.0, 0.3 * 0.81], [0.3 * 0.81, 0.0]),)}
-    rotors: dict[str, Any] = {"mass": [[1, 0], [0, 1]], "damping": [[0.1, -0.6], [0.6, 0.1]],
-                              "stiffness": [[1, 0.05], [-0.05, 1]], "load": [0, 0], "omega": 0.9} | turning  # fmt: skip
-    one: dict[str, Any] = {"mass": [[1]], "damping": [[0.1]], "load": [0]}
-    system, truth, start = {
-        "bistable": (bistable(), PiecewiseMachine(**one, stiffness=[[-1]], omega=1.0, forces=(HarmonicForce(1, [0],
-        [0.4]),), contacts=(
-            PiecewiseContact([1], 0.5, -0.5, stiffness=3.0),)), {"x": 1.83, "v": 1.465}),
-        "rigid rotor": (rotor(**RIGID), PiecewiseMachine(**rotors, contacts=(PiecewiseContact([1, 0], 0.2,
-        restitution=0.7),)), {}),
-        "soft rotor": (rotor(**SOFT), PiecewiseMachine(**rotors, contacts=(
-            PiecewiseContact([1, 0], 0.2, stiffness=20.0, damping=0.2, release="displacement"),)), {}),
-        "belt": (falling_friction(), PiecewiseMachine(**one, stiffness=[[1]], omega=1.2, forces=(HarmonicForce(1, [0],
-        [0.3]),),
-                 friction=(PiecewiseFriction([1], 1.0, 1.0, 0.5, -0.2),)), {"x": 0.3, "v": 0.5}),
-    }[name]  # fmt: skip
-    found = solve_tile(system, start, SPECTRUM)
-    exact = orbit(truth, found["state"].tolist())
-    assert found["state"] == pytest.approx([float(x) for x in exact.state], abs=1e-11)
-    known = np.isfinite(found["spectrum"])
-    moduli = sorted((abs(complex(mu)) for mu in exact.multipliers), reverse=True)
-    assert np.exp(found["spectrum"][known]) == pytest.approx(moduli[: int(known.sum())], abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("name", "free", "start", "known"),
     [
@@ -165,7 +128,7 @@ def test_branches_go_through_the_orbits_known(
 
 def bouncing(growth: float, R: float) -> System:
     """x'' - 2 growth x' + x with a rigid stop at 1."""
-    return machine(damping=[[-2.0 * growth]], gap=[1.0], upper=1.0, restitution=R)
+    return cosine_mass(damping=[[-2.0 * growth]], gap=[1.0], upper=1.0, restitution=R)
 
 
 def test_a_growing_mass_at_a_rigid_stop_is_bounded_just_where_the_closed_form_says() -> None:
@@ -178,7 +141,7 @@ def test_a_growing_mass_at_a_rigid_stop_is_bounded_just_where_the_closed_form_sa
 
 
 def test_what_falls_from_its_crest_away_from_the_only_stop_runs_away_and_what_falls_on_it_does_not() -> None:
-    system = machine(stiffness=[[-1.0]], gap=[1.0], upper=0.2, restitution=0.5)
+    system = cosine_mass(stiffness=[[-1.0]], gap=[1.0], upper=0.2, restitution=0.5)
     found = solve_tile(system, {"A": 0.0, "x": np.array([-1e-3, 1e-3])})
     assert (found["regime"][0], found["reason"][0]) == (FAILED, RUNS_AWAY)
     assert found["periods_used"][0] == 0  # certain at once
@@ -193,7 +156,7 @@ def test_what_stays_in_a_well_does_not_run_away_from_the_crest_between() -> None
 
 def test_friction_beside_a_crest_lets_go_what_runs_away() -> None:
     ground = {"name": "ground", "row": [1.0], "kinetic": 0.1}
-    system = machine(stiffness=[[-1.0]], friction=[ground])
+    system = cosine_mass(stiffness=[[-1.0]], friction=[ground])
     found = solve_tile(system, {"A": 0.0, "x": np.array([0.05, 0.5])})
     assert found["reason"].tolist() == [NO_REASON, RUNS_AWAY]
     assert found["state"][0] == pytest.approx([0.05, 0.0])

@@ -4,6 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+from tests.workers.kernel.test_general_flows import flow_error
 from workers.model.block_decomposition import split
 
 MASS = np.array([[1.86, -0.022, -1.44], [-0.022, 3.4, -0.4], [-1.44, -0.4, 3.98]])
@@ -35,25 +36,6 @@ def test_rates_of_coupled_damping_are_as_exact_in_any_unit_of_time(unit: float) 
         assert abs(found.eta[0, place] / eta - 1) < 1e-12
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
-def test_blocks_of_coupled_damping_move_as_the_machine_does(unit: float) -> None:
-    """to_blocks A to_physical has the blocks [[0, 1], [-lam, -2 eta]] on its diagonal, in the unit of the fastest."""
-    mass, damping, stiffness = MASS, DAMPING * unit, STIFFNESS * unit**2
-    found = split(mass[None], damping[None], stiffness[None])
-    n = len(mass)
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = np.eye(n)
-    A[n:, :n], A[n:, n:] = -np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)
-    blocks = np.zeros((2 * n, 2 * n))
-    for j in range(n):
-        blocks[2 * j, 2 * j + 1], blocks[2 * j + 1, 2 * j] = 1.0, -found.lam[0, j]
-        blocks[2 * j + 1, 2 * j + 1] = -2.0 * found.eta[0, j]
-    moved = found.to_blocks[0] @ A @ found.to_physical[0]
-    times = np.tile([np.sqrt(found.lam[0].max()), 1.0], n)  # (h, h') as velocities
-    scaled = times[:, None] * (moved - blocks) / times[None, :]
-    assert np.max(np.abs(scaled)) < 1e-12 * np.sqrt(found.lam[0].max())
-
-
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_free_masses_joined_by_springs_have_one_rigid_mode_exactly(n: int) -> None:
     """Their stiffness is singular; the computed eigenvalue is not 0, but rounding."""
@@ -67,29 +49,6 @@ def test_free_masses_joined_by_springs_have_one_rigid_mode_exactly(n: int) -> No
     assert np.all(np.sum(modes.lam == 0.0, axis=1) == 1)
 
 
-def flow_error(mass: np.ndarray, damping: np.ndarray, stiffness: np.ndarray, time: float) -> float:
-    """The error of the flow of the blocks over a time, in the norm of the energy; truth: eigenvectors of 40 digits."""
-    n = len(mass)
-    found = split(mass[None], damping[None], stiffness[None])
-    with mp.workdps(40):
-        inverse = mp.matrix(mass.tolist()) ** -1
-        A, moved = mp.zeros(2 * n), mp.zeros(2 * n)
-        A[:n, n:] = mp.eye(n)
-        A[n:, :n], A[n:, n:] = -inverse * mp.matrix(stiffness.tolist()), -inverse * mp.matrix(damping.tolist())
-        values, vectors = mp.eig(A)
-        exact = (vectors * mp.diag([mp.exp(value * time) for value in values]) * vectors**-1).apply(mp.re)
-        for j in range(n):
-            eta, lam = mp.mpf(float(found.eta[0, j])), mp.mpf(float(found.lam[0, j]))
-            w, decay = mp.sqrt(lam - eta**2), mp.exp(-eta * time)
-            C, S = decay * mp.cos(w * time), decay * mp.sin(w * time) / w
-            moved[2 * j, 2 * j], moved[2 * j, 2 * j + 1] = C + eta * S, S
-            moved[2 * j + 1, 2 * j], moved[2 * j + 1, 2 * j + 1] = -lam * S, C - eta * S
-        away = exact - mp.matrix(found.to_physical[0].tolist()) * moved * mp.matrix(found.to_blocks[0].tolist())
-        norm = mp.zeros(2 * n)
-        norm[:n, :n], norm[n:, n:] = (mp.cholesky(mp.matrix(m.tolist())).T for m in (stiffness, mass))
-        return float(mp.mnorm(norm * away * norm**-1, "f"))
-
-
 @pytest.mark.parametrize("damping", ["none", "proportional", "coupled"])
 def test_a_stiff_machine_keeps_its_digits_over_a_period(damping: str) -> None:
     """A spring a million times as stiff: a unit in the last place of the time it takes is 1.4e-12 of its turns."""
@@ -100,13 +59,13 @@ def test_a_stiff_machine_keeps_its_digits_over_a_period(damping: str) -> None:
         )
         light = {"none": 0.0, "proportional": 1e-9 * stiffness, "coupled": np.diag(1e-4 * rng.random(3)) + 1e-5}
         mass = np.diag(rng.uniform(0.5, 2.0, 3))
-        assert flow_error(mass, light[damping] + np.zeros((3, 3)), stiffness, 6.28) < 4e-12
+        assert flow_error(mass, light[damping] + np.zeros((3, 3)), stiffness, 6.28, energy=True) < 4e-12
 
 
 def test_damping_that_hardly_couples_the_modes_is_not_left_out() -> None:
     """It leaves the trace, and so the sum of the exponents, as it is, but not the motion."""
     damping = np.array([[0.5, 4e-10], [4e-10, 1e-3]])
-    assert flow_error(np.eye(2), damping, np.diag([1.0, 1.3]), 20.0) < 1e-13
+    assert flow_error(np.eye(2), damping, np.diag([1.0, 1.3]), 20.0, energy=True) < 1e-13
 
 
 def test_coupling_within_rounding_of_modes_that_nearly_coincide_leaves_them_apart() -> None:

@@ -10,13 +10,11 @@ from tests.support.oracle.simulate import section_jacobian, simulate
 from workers.cell.interval import run_periods
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import EVALUATIONS, FLIGHT, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
-from workers.kernel.period import advance, propagate, step
+from workers.kernel.period import advance, step
 from workers.kernel.tangent import reset_frame
 from workers.model.hybrid_modes import DETACHED, ON
 from workers.model.oscillator import Oscillator
 from workers.orbit.map import map_with_jacobian
-
-EPS = np.finfo(np.float64).eps
 
 
 def after(osc: Oscillator, state: np.ndarray, periods: int) -> np.ndarray:
@@ -40,59 +38,8 @@ def jacobian(osc: Oscillator, state: np.ndarray, periods: int, half: bool = Fals
     return P @ J @ np.linalg.inv(P)
 
 
-def differences(osc: Oscillator, state: np.ndarray, periods: int, width: float) -> np.ndarray:
-    """The same by central differences of the map itself, with Richardson's extrapolation."""
-    columns = []
-    for i in range(len(state)):
-        move = np.eye(len(state))[i] * width
-        coarse, fine = (
-            (after(osc, state + s * move, periods) - after(osc, state - s * move, periods)) / (2 * s * width)
-            for s in (1.0, 0.5)
-        )
-        columns.append((4 * fine - coarse) / 3)
-    return np.column_stack(columns)
-
-
 def on_attractor(osc: Oscillator, state: np.ndarray, periods: int = 300) -> np.ndarray:
     return after(osc, state, periods)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("figure", [3, 4, 5])
-def test_the_jacobian_is_that_of_the_map_at_the_papers_figures(figure: int) -> None:
-    osc, start = naive.two_mass(**naive.FIGURES[figure])
-    state = on_attractor(osc, start)
-    J = jacobian(osc, state, 1)
-    assert np.max(np.abs(differences(osc, state, 1, 1e-5) - J)) < 1e-6 * max(1.0, np.max(np.abs(J)))
-
-
-def random_params(rng: np.random.Generator) -> dict[str, float]:
-    return {
-        "mu_m": float(np.exp(rng.normal(0.5, 0.6))),
-        "mu_k": float(np.exp(rng.normal(0.9, 0.6))),
-        "zeta": float(np.exp(rng.normal(-2.0, 0.8))),
-        "f2": float(rng.normal()),
-        "omega": float(rng.uniform(1.0, 4.0)),
-        "R": float(rng.uniform(0.5, 1.0)),
-        "tau": float(rng.uniform(0.0, 2 * math.pi)),
-    }
-
-
-@pytest.mark.slow
-def test_the_jacobian_is_that_of_the_map_at_random_parameters() -> None:
-    rng = np.random.default_rng(1)
-    impacts = 0
-    for _ in range(40):
-        params = random_params(rng)
-        params["b"] = float(rng.uniform(0.1, 0.9)) * naive.two_mass(**params)[0].gap.amplitude
-        osc, start = naive.two_mass(**params)
-        state = on_attractor(osc, start, 40)
-        J = jacobian(osc, state, 1)
-        assert np.max(np.abs(differences(osc, state, 1, 3e-6) - J)) < 1e-6 * max(1.0, np.max(np.abs(J)))
-        motion = motion_from(osc, state)
-        advance(osc, motion)
-        impacts += int(motion.tally[UPPER] + motion.tally[LOWER])
-    assert impacts > 60
 
 
 def test_the_jacobian_agrees_with_multiprecision_orbits() -> None:
@@ -102,41 +49,6 @@ def test_the_jacobian_agrees_with_multiprecision_orbits() -> None:
     named = dict(zip(("x1", "x2", "v1", "v2"), state.tolist(), strict=True))
     true = np.array([[float(v) for v in row] for row in section_jacobian(naive.FIGURES[5] | named, 2)])
     assert jacobian(osc, state, 2) == pytest.approx(true, abs=1e-11 * np.abs(true).max())
-
-
-def test_the_jacobian_through_one_impact_is_that_of_a_plain_simulation() -> None:
-    """Truth: differences of matrix exponentials with a root for the impact, in physical coordinates."""
-    p = naive.FIGURES[3]
-    osc, _ = naive.two_mass(**p)
-    state, end = np.array([p["b"] - 0.02, 0.03, 0.5, -0.2]), 0.12
-    motion = motion_from(osc, state, vectors=4)._replace(triangle=np.eye(4))
-    propagate(osc, motion, end)
-    assert motion.tally[UPPER] == 1
-    reset_frame(osc.gap.blocks, motion)
-    P = physical(osc)
-    J = P @ motion.V.reshape(4, 4).T @ (np.exp(motion.growth)[:, None] * motion.triangle) @ np.linalg.inv(P)
-    width = 1e-4
-    for i in range(4):
-        ends = []
-        for s in (1.0, -1.0, 0.5, -0.5):
-            ends.append(naive.through_one_impact(p, state + s * width * np.eye(4)[i], (0.0, 0.1), end))
-        column = (4 * (ends[2] - ends[3]) - (ends[0] - ends[1]) / 2) / (3 * width)
-        assert J[:, i] == pytest.approx(column, abs=1e-9 * np.abs(J).max())
-    assert np.linalg.det(J) == pytest.approx(p["R"] ** 2 * math.exp(-osc.trace * end), rel=1e-12)
-
-
-def test_the_volume_law_holds_along_chaos() -> None:
-    """ln det DP = -trace T + 2 ln R (impacts), period by period."""
-    osc, start = naive.two_mass(**naive.FIGURES[5])
-    motion = motion_from(osc, start, vectors=4)
-    for _ in range(50):
-        impacts, growth = motion.tally[UPPER] + motion.tally[LOWER], motion.growth.sum()
-        advance(osc, motion)
-        reset_frame(osc.gap.blocks, motion)
-        hits = motion.tally[UPPER] + motion.tally[LOWER] - impacts
-        assert motion.growth.sum() - growth == pytest.approx(
-            -osc.trace * osc.period + 2 * hits * math.log(osc.R), abs=1e-10 + (1e-4 if impacts == 0 else 0.0)
-        )
 
 
 # Orbits against the independent simulator
@@ -204,55 +116,6 @@ def test_the_kinds_include_what_their_names_say() -> None:
         damping = np.array(osc.gap.eta) ** 2 - osc.gap.lam
         assert ("overdamped" in kind) == bool(np.all(damping > 0)), kind
         assert ("critical" in kind) == bool(np.any(np.abs(damping) < 1e-12)), kind
-
-
-# Sticking
-
-
-def sticking_state() -> tuple[Oscillator, np.ndarray]:
-    osc, start = naive.two_mass(**naive.STICKING)
-    return osc, on_attractor(osc, start, 20)
-
-
-def test_the_jacobian_through_chatter_rest_and_release_is_that_of_the_map() -> None:
-    """Its error is of the order of the chatter's neglected end: the load changes by 1e-4 over it."""
-    osc, state = sticking_state()
-    J = jacobian(osc, state, 1)
-    assert differences(osc, state, 1, 1e-5) == pytest.approx(J, abs=1e-5 * np.abs(J).max())
-
-
-def test_the_jacobian_through_sticking_agrees_with_multiprecision_orbits() -> None:
-    """Truth: differences of 30-digit orbits that follow the chatter to 1e-14 of a time scale."""
-    osc, state = sticking_state()
-    named = dict(zip(("x1", "x2", "v1", "v2"), state.tolist(), strict=True))
-    true = np.array([[float(v) for v in row] for row in section_jacobian(naive.STICKING | named, 1, 36)])
-    assert jacobian(osc, state, 1) == pytest.approx(true, abs=1e-6 * np.abs(true).max())
-
-
-def test_a_period_with_sticking_has_rank_two_less() -> None:
-    osc, state = sticking_state()
-    singular = np.linalg.svd(jacobian(osc, state, 1), compute_uv=False)
-    assert singular[1] > 1e-3
-    assert singular[2] < 1e-14
-    motion = motion_from(osc, state)
-    advance(osc, motion)
-    assert motion.tally[LOST] == 2
-
-
-def test_an_inelastic_impact_that_leaves_at_once_costs_one_rank() -> None:
-    osc, start = naive.two_mass(**KINDS["leaves at once, R = 0"])
-    J = jacobian(osc, on_attractor(osc, start, 30), 1)
-    assert np.linalg.matrix_rank(J, tol=1e-13 * np.abs(J).max()) == 3
-
-
-def test_a_cell_held_at_its_section_lies_on_the_stop_at_rest() -> None:
-    osc, state = naive.two_mass(**KINDS["held at the section"])
-    motion = motion_from(osc, state)
-    run_periods(osc, motion, 10)
-    x1, _, v1, _ = blocks_to_physical(osc, motion)
-    assert (abs(x1), v1) == (osc.b_upper, 0.0)
-    again = motion_from(osc, blocks_to_physical(osc, motion))
-    assert again.mode[0] == motion.mode[0]
 
 
 # The half-period map

@@ -5,7 +5,6 @@
 ``simulate``      any motion, with sticking, chatter and rest, in multiprecision arithmetic (mpmath)
 ``monodromy``     derivative of the stroboscopic map by differences of such motions
 ``orbit``         a periodic orbit by Newton's method on that map
-``bifurcation``   parameter at which a multiplier of an orbit becomes 1 or -1
 ``measures``      shares of time, losses and extremes on the way
 
 The solver flies in modal blocks, marches by curvature bounds and multiplies saltation matrices. Here a leg is the
@@ -13,7 +12,6 @@ Taylor series of displacements, velocities and forcing in physical coordinates, 
 constraints, and the first guard is isolated with Bernstein coefficients.
 """
 
-from tests.support.oracle.piecewise.bifurcations import bifurcation
 from tests.support.oracle.piecewise.machine import (
     HarmonicForce,
     PiecewiseContact,
@@ -36,7 +34,6 @@ __all__ = [
     "PiecewiseOrbit",
     "PiecewisePhase",
     "PiecewiseRun",
-    "bifurcation",
     "measures",
     "monodromy",
     "orbit",

@@ -1,14 +1,19 @@
 """Measures of a motion: shares of time, losses, extremes; integrals of the legs' Taylor polynomials."""
 
+import math
 from collections import defaultdict
 from typing import Any
 
+import numpy as np
 from mpmath import mp
+from numpy.typing import NDArray
 
 from tests.support.oracle.linear import Number, Row, TaylorSeries
 from tests.support.oracle.piecewise.machine import PiecewiseMachine, Vector
 from tests.support.oracle.piecewise.mode_law import ModeLaw, ModeLaws, PiecewiseMode, side_of
 from tests.support.oracle.piecewise.motion import PiecewiseRun, simulate
+
+Array = NDArray[np.float64]
 
 POINTS = 32  # on a leg, among which a maximum is sought
 
@@ -20,7 +25,7 @@ def measures(
 
     ``contact_fraction`` (a contact) and ``stick_fraction`` (a friction element); ``rms`` (n,) of x;
     ``max_penetration`` and ``max_force`` over all soft contacts; ``stop_loss``, ``friction_loss`` and ``damper_loss``
-    per period; ``progress`` (n,) of x per period.
+    per period, and the ``work`` of forces and load; ``progress`` (n,) of x per period, its ``low`` and ``high`` ends.
     """
     with mp.workdps(digits):
         meter = _Meter(machine)
@@ -28,30 +33,60 @@ def measures(
         return meter.result(run, periods)
 
 
+def _integral(p: Array, q: Array, u: float) -> float:
+    """Integral of p q from 0 to u."""
+    product = np.convolve(p, q)
+    return float(u * np.polynomial.polynomial.polyval(u, product / np.arange(1, len(product) + 1)))
+
+
+def _maximum(p: Array, u: float) -> float:
+    """Largest value of p on [0, u], which has few maxima: the best of POINTS, then Newton's method on the slope."""
+    value = np.polynomial.polynomial.polyval
+    slope = np.arange(1, len(p)) * p[1:]
+    curve = np.arange(1, len(slope)) * slope[1:]
+    points = u * np.arange(POINTS + 1) / POINTS
+    s = best = points[np.argmax(value(points, p))]
+    for _ in range(8):
+        bend = value(s, curve)
+        if bend >= 0.0:
+            break
+        s = min(max(s - value(s, slope) / bend, 0.0), u)
+    return float(max(value(s, p), value(best, p)))
+
+
 class _Meter:
     def __init__(self, machine: PiecewiseMachine) -> None:
         self.machine = machine
-        self.sums: dict[Any, Number] = defaultdict(lambda: mp.zero)
-        self.most: dict[str, Number] = defaultdict(lambda: mp.zero)
+        self.sums: dict[Any, float] = defaultdict(float)
+        self.most: dict[str, float] = defaultdict(float)
+        self.ends: dict[tuple[int, int], float] = defaultdict(lambda: -math.inf)
 
     def leg(
-        self, laws: ModeLaws, mode: PiecewiseMode, law: ModeLaw, series: TaylorSeries, u: Number, step: Number
+        self, laws: ModeLaws, mode: PiecewiseMode, law: ModeLaw, series: TaylorSeries, flown: Number, whole: Number
     ) -> None:
-        """Add one leg, flown to u of its step."""
-        machine, n, time = laws.machines[mode.phase], self.machine.n, u * step
+        """Add one leg, flown to a share of its whole step; its polynomials are exact, what is made of them doubles."""
+        machine, n, u, step = laws.machines[mode.phase], self.machine.n, float(flown), float(whole)
+        time = u * step
 
-        def along(functional: Row) -> list[Number]:
-            return series.of(functional)[0]
+        def along(functional: Row) -> Array:
+            return np.array(series.of(functional)[0], dtype=np.float64)
 
         self.sums["time"] += time
         velocities = [along({n + i: mp.one}) for i in range(n)]
         for i in range(n):
             x = along({i: mp.one})
             self.sums["square", i] += step * _integral(x, x, u)
+            for side in (1, -1):
+                self.ends[i, side] = max(self.ends[i, side], _maximum(side * x, u))
+            applied: Row = {laws.size - 1: mp.mpf(machine.load[i])}
+            for force in machine.forces:
+                at = 2 * n + 2 * laws.orders.index(force.order)
+                applied |= {at: mp.mpf(force.sin[i]), at + 1: mp.mpf(force.cos[i])}
+            self.sums["work"] += step * _integral(along(applied), velocities[i], u)
         for i, row in enumerate(machine.damping):
             for j, entry in enumerate(row):
                 if entry:
-                    self.sums["damper"] += mp.mpf(entry) * step * _integral(velocities[i], velocities[j], u)
+                    self.sums["damper"] += float(entry) * step * _integral(velocities[i], velocities[j], u)
         for i, (contact, state) in enumerate(zip(machine.contacts, mode.contacts, strict=True)):
             if state == "open" or contact.restitution is not None:
                 continue
@@ -68,8 +103,8 @@ class _Meter:
                 self.sums["stick", i] += time
                 continue
             speed = along(laws.velocity(friction.row, friction.belt, side_of(state)))
-            self.sums["friction"] += mp.mpf(friction.kinetic) * step * _integral(speed, [mp.one], u)
-            self.sums["friction"] += mp.mpf(friction.slope) * step * _integral(speed, speed, u)
+            self.sums["friction"] += float(friction.kinetic) * step * _integral(speed, np.ones(1), u)
+            self.sums["friction"] += float(friction.slope) * step * _integral(speed, speed, u)
 
     def result(self, run: PiecewiseRun, periods: int) -> dict[str, Any]:
         """The measures of the motion."""
@@ -80,49 +115,22 @@ class _Meter:
                 contact = machine.contacts[event.index]
                 row = mp.matrix([mp.mpf(value) for value in contact.row])
                 mass = 1 / (row.T * laws.inverse * row)[0]
-                sums["stop"] += (1 - mp.mpf(contact.restitution) ** 2) * mass * event.value**2 / 2
+                sums["stop"] += float((1 - mp.mpf(contact.restitution) ** 2) * mass * event.value**2 / 2)
         start, end = run.sections[0], run.sections[-1]
         return {
-            "contact_fraction": [float(sums["contact", i] / time) for i in range(len(machine.contacts))],
-            "stick_fraction": [float(sums["stick", i] / time) for i in range(len(machine.friction))],
-            "rms": [float(mp.sqrt(sums["square", i] / time)) for i in range(machine.n)],
-            "max_penetration": float(self.most["depth"]),
-            "max_force": float(self.most["force"]),
-            "stop_loss": float(sums["stop"] / periods),
-            "friction_loss": float(sums["friction"] / periods),
-            "damper_loss": float(sums["damper"] / periods),
+            "contact_fraction": [sums["contact", i] / time for i in range(len(machine.contacts))],
+            "stick_fraction": [sums["stick", i] / time for i in range(len(machine.friction))],
+            "rms": [math.sqrt(sums["square", i] / time) for i in range(machine.n)],
+            "max_penetration": self.most["depth"],
+            "max_force": self.most["force"],
+            "stop_loss": sums["stop"] / periods,
+            "friction_loss": sums["friction"] / periods,
+            "damper_loss": sums["damper"] / periods,
+            "work": sums["work"] / periods,
+            "low": [-self.ends[i, -1] for i in range(machine.n)],
+            "high": [self.ends[i, 1] for i in range(machine.n)],
             "progress": [float((end[i] - start[i]) / periods) for i in range(machine.n)],
         }
-
-
-def _integral(p: list[Number], q: list[Number], u: Number) -> Number:
-    """Integral of p q from 0 to u."""
-    powers = [u]
-    for _ in range(len(p) + len(q)):
-        powers.append(powers[-1] * u)
-    return mp.fsum(mp.fdot((a * powers[i + j] / (i + j + 1), b) for j, b in enumerate(q)) for i, a in enumerate(p) if a)
-
-
-def _maximum(p: list[Number], u: Number) -> Number:
-    """Largest value of p on [0, u], which has few maxima: the best of POINTS, then Newton's method on the slope."""
-    slope = [k * a for k, a in enumerate(p)][1:]
-    curve = [k * a for k, a in enumerate(slope)][1:]
-    best = max((u * k / POINTS for k in range(POINTS + 1)), key=lambda s: _value(p, s))
-    s = best
-    for _ in range(8):
-        bend = _value(curve, s)
-        if bend >= 0:
-            break
-        s = min(max(s - _value(slope, s) / bend, mp.zero), u)
-    return max(_value(p, s), _value(p, best))
-
-
-def _value(p: list[Number], s: Number) -> Number:
-    """p(s), the coefficients in ascending order."""
-    result = mp.zero
-    for coefficient in reversed(p):
-        result = result * s + coefficient
-    return result
 
 
 __all__ = ["measures"]
