@@ -138,6 +138,7 @@ class HybridModes(NamedTuple):
     drive         (N, n, H, 2) part of x'' that is the force itself
     lost          (N,) number of dimensions of the state that sticking removes
     trace         (N,) trace of M^-1 C of the mode, its contraction of volume
+    skew          (N,) see ``_skew``
     """
 
     blocks: Array
@@ -154,9 +155,10 @@ class HybridModes(NamedTuple):
     drive: Array
     lost: Array
     trace: Array
+    skew: Array
 
 
-OF_PIECES = HybridModes._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
+OF_PIECES = HybridModes._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2, 2])
 """Number of axes of each field of a record of several modes of many machines, one more than in HybridModes."""
 
 
@@ -302,11 +304,26 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
     pieces = HybridModes(
         blocks, waves, sizes_of(waves, w), forced, rows, structure.direct, offset, structure.ends, to_blocks,
         to_physical, structure.acceleration, structure.drive, structure.lost,
-        np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
+        np.sum(2.0 * flow[..., COLUMN.eta], axis=1), _skew(to_blocks, to_physical, flow[..., COLUMN.metric], omega),
     )  # fmt: skip
     wrong = structure.undriven | structure.flow.modes.inseparable
     wrong |= ~resonant & ~(np.isfinite(to_blocks) & np.isfinite(to_physical)).all(axis=(1, 2))
     return HybridModes(*map(np.ascontiguousarray, pieces)), np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
+
+
+def _skew(to_blocks: Array, to_physical: Array, metric: Array, omega: Array) -> Array:
+    """Return logs (N,) of bounds of the condition number of a change of norm: how unevenly it stretches states.
+
+    The change is from (omega x, v), of Euclidean norm, to the energy norm of the blocks, with weights ``metric`` (N, n)
+    of h^2. A condition number is at most what its Frobenius norms, with the equal shares of 2n - 2 directions taken
+    out, give for two directions.
+    """
+    (N, n), one = metric.shape, np.ones_like(metric)
+    energy = np.stack([np.sqrt(metric), one], axis=2).reshape(N, 2 * n)
+    speed = np.concatenate([one * omega[:, None], one], axis=1)
+    to_energy = np.sum((to_blocks * energy[:, :, None] / speed[:, None]) ** 2, axis=(1, 2))
+    from_energy = np.sum((to_physical * speed[:, :, None] / energy[:, None]) ** 2, axis=(1, 2))
+    return np.asarray(np.arccosh(np.maximum(0.5 * (np.sqrt(to_energy * from_energy) - (2 * n - 2)), 1.0)))
 
 
 def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:

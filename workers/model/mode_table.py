@@ -49,6 +49,7 @@ class ContactElements(NamedTuple):
     friction_kick      (N, F, n) as kick, of each friction's row
     static_is_kinetic  (N, P, F, 2) 1 if static = kinetic, else 0, for v < 0 and v > 0
     along              (N, F, C) the factor a if a friction's row is a times a contact's row, else 0
+    turned             (N, C) see ``_turned``
     depths             (N, C, 2, S) starts of the segments of contact laws, infinite if missing
     speeds             (N, F, 2, S') starts of the segments of friction laws, infinite if missing
     """
@@ -66,6 +67,7 @@ class ContactElements(NamedTuple):
     along: Array
     starts: Array
     counted: Array
+    turned: Array
     depths: Array
     speeds: Array
 
@@ -78,16 +80,32 @@ def elements_of(machines: HybridMachines) -> ContactElements:
         pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]
         return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
 
+    kick = along(machines.row)
     weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
     even = np.ascontiguousarray(
         (machines.friction_constants[..., 0] == machines.friction_constants[..., 1]).astype(np.float64)
     )
     return ContactElements(
-        machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
+        machines.row, kick, weight, machines.stops, machines.R, machines.soft,
         machines.friction_rows, along(machines.friction_rows), machines.belt, even, along_contacts(machines),
         machines.starts,
-        machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
+        machines.counted, _turned(machines, kick),
+        *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
     )  # fmt: skip
+
+
+def _turned(machines: HybridMachines, kick: Array) -> Array:
+    """Return logs (N, C) of the condition numbers of x -> x - (1 + R) kick (row . x), the effect of an impact.
+
+    kick  (N, C, n) see ContactElements
+
+    It is 1 for soft contacts. Besides the plane of ``kick`` and ``row`` nothing changes; in it the squares of both
+    stretches add up to the square of the Frobenius norm, and their product is R.
+    """
+    R = np.where(machines.soft > 0.0, 1.0, np.maximum(machines.R, 1e-300))
+    uneven = np.vecdot(kick, kick) * np.vecdot(machines.row, machines.row) - 1.0
+    squares = 1.0 + R * R + np.where(machines.soft > 0.0, 0.0, (1.0 + R) ** 2 * np.maximum(uneven, 0.0))
+    return np.asarray(np.arccosh(np.maximum(squares / (2.0 * R), 1.0)))
 
 
 class ModeTable(NamedTuple):
@@ -141,7 +159,7 @@ class ModeTable(NamedTuple):
         return rows
 
 
-_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 4, 4])
+_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 2, 4, 4])
 _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 """Number of axes of each field of a ModeTable, for many machines."""
 
@@ -240,7 +258,9 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
-    fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
+    fit = finite(
+        (to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none, turned=none))
+    )
     fit &= np.all(elements.weight > 0.0, axis=1)  # else the inverse is infinite: no contact moves anything
     return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
