@@ -3,59 +3,38 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from atlas import errors
+from atlas import errors as errors
 from atlas.argument_checks import validate_flag, validate_type
-from atlas.cell.point import point
-from atlas.check.verify import verify
+from atlas.cell.point import point as point
+from atlas.check.verify import verify as verify
 from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_point
-from atlas.orbits.curves.settings import CurveSettings
+from atlas.orbits.curves.settings import CurveSettings as CurveSettings
 from atlas.query.open import Chunks, open_atlas
-from atlas.render import portrait
-from atlas.robustness.attractors import attractors
-from atlas.robustness.cell_stability import stability
-from atlas.robustness.saddles import saddles
-from atlas.service.extend import extend
-from atlas.service.options import RunOptions
-from atlas.service.pack import pack
+from atlas.render import portrait as portrait
+from atlas.robustness.attractors import attractors as attractors
+from atlas.robustness.cell_stability import stability as stability
+from atlas.robustness.saddles import saddles as saddles
+from atlas.service.extend import extend as extend
+from atlas.service.options import RunOptions as RunOptions
+from atlas.service.pack import pack as pack
 from atlas.service.plan import Plan, make_plan
 from atlas.service.probe import add_probe
-from atlas.service.retry import retry
-from atlas.service.run import run
+from atlas.service.retry import retry as retry
+from atlas.service.run import run as run
 from atlas.service.status import StoreStatus, read_status
-from atlas.spec.spec import Spec, given_values
+from atlas.spec.spec import Spec as Spec
+from atlas.spec.spec import given_values
 from atlas.store.object_backend import Given
 from atlas.store.store import open_store
-from workers import Settings
-from workers.model.system import DEFAULT, System
+from workers import Settings as Settings
+from workers.model.system import DEFAULT
+from workers.model.system import System as System
 
 if TYPE_CHECKING:
     import xarray
 
     from atlas.accessor import PlottableBranches
-
-__all__ = [
-    "CurveSettings",
-    "RunOptions",
-    "Settings",
-    "Spec",
-    "System",
-    "attractors",
-    "branch",
-    "errors",
-    "extend",
-    "open",
-    "pack",
-    "plan",
-    "point",
-    "portrait",
-    "retry",
-    "run",
-    "saddles",
-    "stability",
-    "status",
-    "verify",
-]
 
 
 def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None) -> "xarray.Dataset":

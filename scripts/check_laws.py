@@ -111,7 +111,7 @@ def found_by(system: System) -> tuple[float, complex]:
     """x at the section of the orbit of period 1 of a machine at its defaults, and its larger multiplier."""
     cell = solve_tile(system, {}, Settings(exponents="none"))
     assert cell["period"] == 1
-    hybrid, _ = build_hybrid(system.definition.hybrid({p.name: np.array([p.default]) for p in system.parameters}))
+    hybrid, _ = build_hybrid(system.definition.machines({p.name: np.array([p.default]) for p in system.parameters}))
     return float(cell["state"][0]), larger(follow(hybrid, cell["state"]).jacobian)
 
 
@@ -146,7 +146,7 @@ def cost(light: bool) -> list[list[str]]:
     events = []
     for n in counts:
         system = system_of(hertz_with(chords(hertz, DEEPEST / n, 0, n)), 1.1)
-        hybrid, _ = build_hybrid(system.definition.hybrid({p.name: np.array([p.default]) for p in system.parameters}))
+        hybrid, _ = build_hybrid(system.definition.machines({p.name: np.array([p.default]) for p in system.parameters}))
         cell = solve_tile(system, {}, Settings(exponents="none"))
         events.append(len(follow(hybrid, cell["state"]).events))
         given = {"omega": 1.1 * (1.0 + 1e-5 * np.arange(CELLS))}

@@ -100,7 +100,8 @@ def main(arguments: list[str] | None = None) -> None:
         check_content(wheel)
         run(sys.executable, "-m", "venv", folder / "venv", folder=folder)
         python = folder / "venv" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-        run(python, "-m", "pip", "install", "--quiet", "--constraint", ROOT / "constraints.txt", wheel, folder=folder)
+        install = (python, "-m", "pip", "install", "--quiet", "--no-compile", "--constraint", ROOT / "constraints.txt")
+        run(*install, wheel, folder=folder)  # most modules are never imported here
         use(python, folder)
         if options.keep is not None:
             shutil.copytree(folder / "dist", options.keep, dirs_exist_ok=True)

@@ -19,7 +19,7 @@ from distributed import Worker, get_worker
 
 from atlas.overview.pyramid import level_key
 from atlas.service import attempts
-from atlas.service.attempts import AttemptOutcome, Ending
+from atlas.service.attempts import AttemptOutcome
 from atlas.store.object_backend import open_backend
 from atlas.store.record_format import CELLS, WIDTH
 from atlas.task.tile_job import DerivedReport, RunJob, TileReport
@@ -41,12 +41,12 @@ def pretend(seconds: float, draw: random.Random) -> None:
         worker = get_worker().address
         if job.level:
             await asyncio.to_thread(open_backend(job.store_ref.store).put, level_key(job.level, REGIME, job.index), b"")
-            return AttemptOutcome(worker, Ending.DONE, DerivedReport(job.index))
+            return AttemptOutcome(worker, None, DerivedReport(job.index))
         begin = time.perf_counter()
         await asyncio.sleep(seconds * draw.lognormvariate(-(SPREAD**2) / 2, SPREAD))
         solved, counts = time.perf_counter() - begin, {"periodic": CELLS_OF_TILE}
         report = TileReport(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row))
-        return AttemptOutcome(worker, Ending.DONE, report, solved)
+        return AttemptOutcome(worker, None, report, solved)
 
     attempts.run_attempt = sleep  # type: ignore[assignment]
 

@@ -74,7 +74,7 @@ MUTATIONS = tuple(
         ("atlas/cell/portrait_data.py", "turns = max(1, -(-count // _span(orbit)))\n    times", "turns = 1\n    times", "render/test_portrait.py"),
         ("atlas/render/text.py", "1e-12 and 0 < abs(times) <= 12", "1e-12 and 0 < abs(times) <= 1", "render/test_maps.py"),
         ("atlas/explore/lattice.py", "np.log(values / low) / np.log(high / low)", "(values / low) / (high / low)", "explore/test_viewport.py"),
-        ("atlas/render/scalar_maps.py", "return TwoSlopeNorm(0.0, low, high)", "return TwoSlopeNorm(0.5 * high, low, high)", "render/test_render.py"),
+        ("atlas/render/scales.py", "(0.5 / high) * clipped + 0.5)", "(0.5 / high) * clipped + 0.4)", "render/test_render.py"),
         ("atlas/render/layout.py", "if not low < high:", "if not low <= high:", "render/test_maps.py"),
         ("workers/results.py", '"rigid_mode", INVALID', '"rigid_mode", FAILED', "workers/model/test_systems.py"),
         ("workers/model/chain.py", "*([0.0] * (n - 1))]", "*([1.0] * (n - 1))]", "workers/model/test_systems.py"),

@@ -14,8 +14,9 @@ from typing import Any
 import distributed
 import pytest
 
+from atlas.errors import RunError
 from atlas.service import dispatch
-from atlas.service.attempts import AttemptOutcome, Ending
+from atlas.service.attempts import AttemptOutcome
 from atlas.service.dispatch import Dispatcher, WorkerStatus
 from atlas.service.timing import TIMING, Timing
 
@@ -141,8 +142,8 @@ class Cluster:
         reason = self.fails(future.worker, future.job)
         seconds = self.seconds(future.worker, future.job)
         if reason:
-            return AttemptOutcome(future.worker, Ending.FAILED, reason=reason)
-        return AttemptOutcome(future.worker, Ending.DONE, future.job, seconds)
+            return AttemptOutcome(future.worker, RunError, reason=reason)
+        return AttemptOutcome(future.worker, None, future.job, seconds)
 
 
 def all_outcomes(

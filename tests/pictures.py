@@ -15,9 +15,9 @@ from PIL import Image
 
 from atlas.cell.trajectory import CellTrajectory
 from atlas.orbits.curves.table import CodimTwoPoint, Curve, Curves
-from atlas.render import maps, style
+from atlas.render import style
 from atlas.render.kinds import KIND_TABLE
-from atlas.render.layers import MapLayers
+from atlas.render.layers import MapLayers, MapView
 from atlas.render.layout import STANDARD
 from atlas.render.painters import PAINTERS
 from atlas.render.request import PictureRequest
@@ -54,7 +54,7 @@ def layers(kind: str, *scale: Any, **variables: np.ndarray) -> MapLayers:
     """The layers of a kind of map of variables (y, x), on the scale of others where that is given."""
     rows, columns = variables["regime"].shape
     ds = atlas({"omega": 1.0 + np.arange(columns), "b": 0.1 + 0.1 * np.arange(rows)}, **variables)
-    found: MapLayers = PAINTERS[kind](maps.read(KIND_TABLE[kind], ds, PictureRequest(STANDARD)), *scale)
+    found: MapLayers = PAINTERS[kind](MapView.read(KIND_TABLE[kind], ds, PictureRequest(STANDARD)), *scale)
     return found
 
 

@@ -21,6 +21,8 @@ from atlas.store.tiles import read_tile, record_of
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
+_MADE: dict[tuple[object, ...], dict[Path, bytes]] = {}
+"""The files of each store that ``complete`` has made."""
 
 
 def spec_of(nx: int = 45, ny: int = 38, **axis: object) -> atlas.Spec:
@@ -77,11 +79,20 @@ def keep(handle: store.AtlasStore, side: int = 8, least: int = 8) -> int:
 def complete(
     path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None, side: int = 8, least: int = 8
 ) -> store.AtlasStore:
-    """A whole store with its overviews."""
-    handle = create.create_store(path, spec or spec_of(), tile)
-    fill(handle)
-    keep(handle, side, least)
-    return handle
+    """A whole store with its overviews; a store that was asked for before is written file by file."""
+    spec = spec or spec_of()
+    files = _MADE.get(key := (spec.digest, tile, side, least))
+    if files is None:
+        handle = create.create_store(path, spec, tile)
+        fill(handle)
+        keep(handle, side, least)
+        _MADE[key] = {file.relative_to(path): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+        return handle
+    for name, data in files.items():
+        file = path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(data)
+    return store.open_store(path)
 
 
 def set_attribute(path: Path, name: str, value: object) -> None:

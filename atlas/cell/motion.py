@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from workers.history import Trace, trace, within_periods
-from workers.model.hybrid_machines import HybridMachines
+from workers.model.machines import Machines
 from workers.model.mode_table import elements_of
 from workers.model.oscillator import Array, Oscillator
 from workers.model.system import System
@@ -24,7 +24,7 @@ class CellMotion:
     followed    states at the beginnings of periods, and impacts
     """
 
-    machines: HybridMachines
+    machines: Machines
     oscillator: Oscillator
     followed: Trace
 
@@ -41,7 +41,7 @@ class CellMotion:
             raise InputError(f"this cell cannot be followed: {error}") from None
         values = system.with_cycle({name: np.array([value]) for name, value in parameters.items()}, cycle)
         oscillator, _ = system.build_many(values)
-        return cls(system.definition.hybrid(values), oscillator, followed)
+        return cls(system.definition.machines(values), oscillator, followed)
 
     @property
     def period(self) -> float:

@@ -68,23 +68,7 @@ def find_faults(backend: StoreBackend, sample: int, seed: int, notify: Callable[
     Raise InputError if there is no store.
     """
     with os_errors_as_input_errors(backend, "read"):
-        handle = open_damaged_store(backend)
-    return _read(handle, sample, seed, notify)
-
-
-def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
-    """Return the report of a verification before anything is checked: counts of tiles, and no faults."""
-    n_finished = int(done_mask(handle).sum())
-    return VerifyReport(
-        str(handle.backend), handle.tiling.count, n_finished, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
-    )
-
-
-def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
-    """Read everything in a store and return its faults.
-
-    Metadata and coordinates in the store are not needed to read its cells, since they follow from the spec.
-    """
+        handle = open_damaged_store(backend)  # metadata and coordinates are not needed, since they follow from the spec
     notify(Progress("listing the tiles"))
     records, right = TileRecords(handle, done_mask(handle)), RightObjects(handle)
     finished_tiles = [tuple(index) for index in np.argwhere(records.finished_mask).tolist()]
@@ -107,8 +91,11 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
     rows = {tile.index: tile.row for tile in tiles if tile.row is not None}
     contradictions = [StoreFault(None, text, (RECORDS,)) for text in record_faults(handle, records, rows)]
     faults += [*wrong, *small_faults(handle), *contradictions]
-    report = replace(
-        _empty_report(handle, seed),
+    report = VerifyReport(
+        store=str(backend),
+        tiles=handle.tiling.count,
+        tiles_done=len(finished_tiles),
+        seed=seed,
         chunks=sum(tile.chunks for tile in tiles),
         cells_checked=sum(tile.cells for tile in tiles),
         cells_solved=solved,

@@ -1,6 +1,6 @@
 """Check overviews, the coarser copies of an atlas: each chunk is computed again from the level below and compared."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -28,24 +28,9 @@ def check_overviews(
     bad       finished tiles with faults; chunks over them are not compared, since they are dropped with the tiles
     on_level  function called with each level before it is read
     """
-    chunks, faults = 0, list[StoreFault]()
-    for n_whole, wrong in _checked(handle, bad, on_level):
-        chunks += n_whole
-        faults += wrong
-    return chunks, faults
-
-
-def _checked(
-    handle: AtlasStore, bad: set[Index], on_level: Callable[[int], None]
-) -> Iterator[tuple[int, list[StoreFault]]]:
-    """Yield (number of intact arrays, list of faults) for each chunk of the overviews, the first level first.
-
-    A chunk is one block of cells of an overview, a coarser copy of the atlas; each variable has an array with this
-    block.
-    """
-    pyramid = Pyramid(handle)
+    pyramid, chunks, faults = Pyramid(handle), 0, list[StoreFault]()
     if not pyramid.exists:
-        return
+        return chunks, faults
     part = StoreBlock(handle, tuple(slice(0, n) for n in handle.spec.shape), pyramid)
     unsound: set[Index] = set()
     with ThreadPoolExecutor(READERS) as readers:
@@ -59,12 +44,13 @@ def _checked(
             indices = sorted(complete | shown_chunks)
             checks = [(part, level, index, index in complete, index in over) for index in indices]
             unsound = over
-            for index, (n_whole, faults) in zip(
-                indices, readers.map(lambda arguments: _check(*arguments), checks), strict=True
-            ):
-                if faults:
+            results = readers.map(lambda arguments: _check(*arguments), checks)
+            for index, (n_whole, texts) in zip(indices, results, strict=True):
+                if texts:
                     unsound.add(index)
-                yield n_whole, [StoreFault(None, text, (CHUNK, level, index)) for text in faults]
+                chunks += n_whole
+                faults += [StoreFault(None, text, (CHUNK, level, index)) for text in texts]
+    return chunks, faults
 
 
 def _check(part: StoreBlock, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from atlas.query.plane import determined
 from atlas.spec.spec import Slices, Spec
-from workers.model.hybrid_machines import feeds
+from workers.model.machines import feeds
 from workers.results import (
     APERIODIC,
     ATTRACTOR,
@@ -180,7 +180,7 @@ def _energy(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, M
     negative = arrays.get("impact_energy", np.zeros(())) < 0
     if negative.any():
         params = spec.system_def.complete(spec.cell_params(slices))
-        machines = spec.system_def.definition.hybrid({name: grid.ravel() for name, grid in params.items()})
+        machines = spec.system_def.definition.machines({name: grid.ravel() for name, grid in params.items()})
         yield "impact_energy is negative", negative & ~feeds(machines).reshape(negative.shape)
 
 

@@ -1,22 +1,17 @@
 """Commands about attractors: those of a store, labelled and measured, and those of one cell."""
 
 import sys
-from typing import Any
 
 import click
 
+from atlas.cli.cell_options import Cell, cell_options, starts_option
 from atlas.cli.options import (
     Numbers,
     examples,
     interruptible,
     json_option,
     norm_option,
-    resolve_cell,
-    set_option,
-    settings_options,
-    starts_option,
     store_argument,
-    system_option,
     timing_of,
     worker_options,
 )
@@ -57,13 +52,7 @@ def label_attractors(ctx: click.Context, store: str, as_json: bool) -> None:
 @worker_options
 @json_option
 def measure_attractors(
-    ctx: click.Context,
-    /,
-    store: str,
-    norm: Numbers,
-    shocks: bool,
-    options: RunOptions,
-    as_json: bool,
+    ctx: click.Context, /, store: str, norm: Numbers, shocks: bool, options: RunOptions, as_json: bool
 ) -> None:
     """Measure the stability of the attractors of STORE, a finished atlas: return time, reactivity, amplification.
 
@@ -84,26 +73,16 @@ def measure_attractors(
         "atlas attractors stability --system gear-mesh --shocks",
     )
 )
-@set_option
-@system_option
+@cell_options("observe", "observe_values")
 @norm_option
 @starts_option
 @click.option("--shocks", is_flag=True, help="Also the smallest shock found that leads to another attractor.")
-@settings_options("observe", "observe_values")
 @json_option
-def stability(
-    parameters: Numbers,
-    system: str,
-    norm: Numbers,
-    starts: int,
-    shocks: bool,
-    as_json: bool,
-    **solve: Any,
-) -> None:
+def stability(cell: Cell, norm: Numbers, starts: int, shocks: bool, as_json: bool) -> None:
     """Measure the stability of each attractor of one cell: basin stability, return time, reactivity and more."""
     from atlas.robustness.cell_stability import stability as measure
 
-    record, pairs, settings = resolve_cell(parameters, system, solve)
+    record, pairs, settings = cell
     weights = validate_weights(norm, record)
     with show_solving(record, ATTRACTORS):
         measures = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
@@ -117,27 +96,18 @@ def stability(
         "atlas attractors saddles --system gear-mesh --starts 64 --json",
     )
 )
-@set_option
-@system_option
+@cell_options("observe", "observe_values")
 @norm_option
 @starts_option
-@settings_options("observe", "observe_values")
 @json_option
-def saddles(
-    parameters: Numbers,
-    system: str,
-    norm: Numbers,
-    starts: int,
-    as_json: bool,
-    **solve: Any,
-) -> None:
+def saddles(cell: Cell, norm: Numbers, starts: int, as_json: bool) -> None:
     """Find the unstable orbits on the boundaries between the basins of one cell.
 
     A boundary is the stable manifold of such an orbit, a saddle.
     """
     from atlas.robustness.saddles import saddles as find_saddles
 
-    record, pairs, settings = resolve_cell(parameters, system, solve)
+    record, pairs, settings = cell
     weights = validate_weights(norm, record)
     with show_solving(record, ATTRACTORS):
         results = find_saddles(pairs, system=record, settings=settings, starts=starts, norm=weights)

@@ -7,23 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from atlas.cli.options import (
-    Numbers,
-    at_option,
-    check_cell_options,
-    examples,
-    figure_options,
-    input_errors,
-    json_option,
-    maybe_store_argument,
-    open_selection,
-    out_option,
-    resolve_cell,
-    select_option,
-    set_option,
-    settings_options,
-    system_option,
-)
+from atlas.cli.cell_options import GivenCell, given_cell_options
+from atlas.cli.options import examples, figure_options, input_errors, json_option, out_option
 from atlas.cli.output import print_table, to_json
 from atlas.cli.progress import reporter
 from atlas.formatting import plural
@@ -31,7 +16,7 @@ from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell, seed_of_point
 from atlas.orbits.branches.table import BranchTable, orbit_name
 from atlas.query.export import check_target, replace_on_success, write_table
-from atlas.render import FORMATS, SCALE_OPTION_NAMES, render
+from atlas.render import FORMATS, render
 from atlas.render.request import PictureRequest
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.system import system_of
@@ -53,19 +38,10 @@ TABLES = ("csv", "json")
         "atlas branch plane.zarr --at omega=3.5 --at b=0.15 --along b --from 0.1 --to 0.5 -o branch.png",
     )
 )
-@maybe_store_argument
-@click.option(
-    "--along",
-    required=True,
-    metavar="NAME",
-    help="The parameter along which to follow the orbit.",
-)
+@given_cell_options("exponents", "section_samples", "observe", "observe_values")
+@click.option("--along", required=True, metavar="NAME", help="The parameter along which to follow the orbit.")
 @click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Lower end of the parameter range.")
 @click.option("--to", "high", type=float, required=True, metavar="VALUE", help="Upper end of the parameter range.")
-@set_option
-@at_option
-@select_option
-@system_option
 @click.option(
     "--switch-branches", is_flag=True, help="Also follow the branches from period doublings and symmetry breakings."
 )
@@ -84,22 +60,17 @@ TABLES = ("csv", "json")
 @out_option(f"Write the points to a .csv file, everything to .json, or a picture: .{', .'.join(FORMATS)}.")
 @json_option
 @figure_options("vmin", "vmax")
-@settings_options("exponents", "section_samples", "observe", "observe_values")
 def branch(
-    store: str | None,
+    cell: GivenCell,
     along: str,
     low: float,
     high: float,
-    parameters: Numbers,
-    point: Numbers,
-    select: Numbers,
-    system: str,
     switch_branches: bool,
     budget: int,
     observe: str | None,
     out: Path | None,
     as_json: bool,
-    **options: Any,
+    **look: Any,
 ) -> None:
     """Follow the periodic orbit of a cell along one parameter, where it is stable and where it is not.
 
@@ -110,10 +81,9 @@ def branch(
     """
     if out is not None:
         check_target(out, [f".{name}" for name in (*TABLES, *FORMATS)])
-    look = {name: options.pop(name) for name in SCALE_OPTION_NAMES if name in options}
     PictureRequest.from_arguments(**look)  # before the branch is followed
     with input_errors(), reporter(sys.stderr) as show:
-        seed = _seed(show, store, parameters, point, select, system, options)
+        seed = _seed(show, cell)
         observable = observed_of(seed, observe)
         if observable is not None:
             prepare_kernels(show, *kernels_for(seed.system, OBSERVED))
@@ -147,28 +117,19 @@ def summary(branches: BranchTable) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _seed(
-    show: Callable[[Progress], None],
-    store: str | None,
-    parameters: Numbers,
-    point: Numbers,
-    select: Numbers,
-    system: str,
-    options: dict[str, Any],
-) -> "BranchSeed":
-    """Return the orbit from which branches start: of a stored cell if ``store`` is given, else of a cell solved here.
+def _seed(show: Callable[[Progress], None], cell: GivenCell) -> "BranchSeed":
+    """Return the orbit from which branches start: of a cell of a store, or of a cell that is solved here.
 
     ``show`` is called with the progress.
     """
-    check_cell_options(store)
-    if store is None:
-        record, pairs, settings = resolve_cell(parameters, system, options)
+    if cell.store is None:
+        record, pairs, settings = cell.resolve()
         prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)
-    ds = open_selection(store, select)
+    ds = cell.open()
     prepare_kernels(show, *kernels_for(system_of(ds.attrs), ORBITS))
-    return seed_of_cell(ds, point)
+    return seed_of_cell(ds, cell.point)
 
 
 def _print(branches: BranchTable) -> None:

@@ -12,7 +12,6 @@ from atlas.cli.options import (
     PLACE,
     Bounds,
     Numbers,
-    check_workers,
     examples,
     input_errors,
     interruptible,
@@ -80,8 +79,6 @@ def explore(
         raise InputError("--window needs -o; the page in the browser zooms")
     from atlas.explore.session import explore as start
     from atlas.explore.subject import TOLERANCE
-
-    check_workers(scheduler, workers)
 
     def prepare() -> None:
         if scheduler is None:

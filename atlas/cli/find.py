@@ -8,20 +8,16 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
-    Bounds,
-    Numbers,
     examples,
     json_option,
     out_option,
     read_whole,
-    select_option,
     store_argument,
-    window_option,
     worker_options,
 )
 from atlas.cli.output import emit, print_table, print_values, text, to_json
 from atlas.cli.progress import resumable
-from atlas.cli.query import open_question
+from atlas.cli.query import Question, question_options
 from atlas.errors import InputError
 from atlas.formatting import plural
 from atlas.orbits.curves.export import FORMATS, export
@@ -48,24 +44,14 @@ def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
         "atlas find regions plane.zarr chaotic", "atlas find regions plane.zarr period --min-cells 10 -o periods.csv"
     )
 )
-@store_argument
+@question_options
 @click.argument("class_", metavar="CLASS")
-@window_option
-@select_option
 @click.option(
     "--min-cells", type=int, default=1, show_default=True, metavar="N", help="Only regions of N cells or more."
 )
 @_list_option
 @json_option
-def regions(
-    store: str,
-    class_: str,
-    window: Bounds,
-    select: Numbers,
-    min_cells: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def regions(question: Question, class_: str, min_cells: int, out: Path | None, as_json: bool) -> None:
     """Connected regions of STORE whose cells have one CLASS: their size, area, centre and bounds.
 
     CLASS is period=3, impacts=3-2-2 or a regime, such as chaotic; or period, impacts or regime alone, for all values.
@@ -78,7 +64,7 @@ def regions(
     by, meant = parse_class(by, meant)
     if out is not None:
         check_target(out, [".csv"])
-    with open_question(store, select, window, counted=out is None and not as_json) as (ds, bounds):
+    with question.open(counted=out is None and not as_json) as (ds, bounds):
         from atlas.query import connected_regions
 
         listed = connected_regions.regions(select_dominant(ds), by, meant, bounds, min_cells)
@@ -92,26 +78,16 @@ def regions(
         "atlas find extremes plane.zarr largest", "atlas find extremes plane.zarr max_impact_speed --by period"
     )
 )
-@store_argument
+@question_options
 @click.argument("variable")
 @click.option("--by", metavar="CLASS", default="regime", show_default=True, help="regime, period or impacts; or all.")
-@window_option
-@select_option
 @_list_option
 @json_option
-def extremes(
-    store: str,
-    variable: str,
-    by: str,
-    window: Bounds,
-    select: Numbers,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def extremes(question: Question, variable: str, by: str, out: Path | None, as_json: bool) -> None:
     """Where a VARIABLE of STORE, such as largest, has its smallest and largest values, in each class of cells."""
     if out is not None:
         check_target(out, [".csv"])
-    with open_question(store, select, window, counted=out is None and not as_json) as (ds, bounds):
+    with question.open(counted=out is None and not as_json) as (ds, bounds):
         from atlas.query.extremes import extremes as find
 
         rows = find(select_dominant(ds), variable, by, bounds)
@@ -134,13 +110,7 @@ def extremes(
 @worker_options
 @json_option
 def find_curves(
-    ctx: click.Context,
-    /,
-    store: str,
-    out: Path | None,
-    options: RunOptions,
-    as_json: bool,
-    **budget: int,
+    ctx: click.Context, /, store: str, out: Path | None, options: RunOptions, as_json: bool, **budget: int
 ) -> None:
     """Find the exact curves that bound the regions of STORE, a finished plane: bifurcations and grazes of its orbits.
 

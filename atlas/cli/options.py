@@ -5,7 +5,6 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import fields
 from functools import wraps
 from pathlib import Path
 from types import FrameType
@@ -15,15 +14,10 @@ import click
 from click.core import ParameterSource
 
 from atlas.errors import ChunkError, InputError, NetworkError, brief_repr
+from atlas.service.cluster import Tls
 from atlas.service.options import MAX_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
-from atlas.spec.spec import SETTING_MEANINGS, observable_settings, parse_settings, validate_parameters
-from atlas.spec.system import parse_system
 from atlas.store.object_backend import StoreBackend, is_url, open_backend
-from workers import Settings
-from workers.attractors.initial_states import MAX_STARTS, AttractorSettings
-from workers.model.system import DEFAULT, System
-from workers.settings import VALID_WORDS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,35 +30,14 @@ _T = TypeVar("_T")
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")
 workers_option = click.option(
-    "--workers",
-    type=click.IntRange(1, MAX_WORKERS),
-    help="Worker processes on this host; default: one per processor.",
+    "--workers", type=click.IntRange(1, MAX_WORKERS), help="Worker processes on this host; default: one per processor."
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
-dashboard_option = click.option(
-    "--dashboard/--no-dashboard",
-    default=True,
-    help="Serve Dask's dashboard of the local workers; needs Bokeh.",
-)
+_FILE: dict[str, Any] = {"type": PLACE, "metavar": "FILE"}
 Numbers: TypeAlias = dict[str, float]
 Bounds: TypeAlias = dict[str, tuple[float, float]]
 """Type of an option's values by name: Numbers if given as NAME=VALUE, Bounds if given as NAME=LOW:HIGH."""
 spec_argument = click.argument("spec", type=PLACE)
-system_option = click.option(
-    "--system",
-    default=DEFAULT,
-    show_default=True,
-    type=PLACE,
-    metavar="SYSTEM",
-    help="A name, see: atlas systems; the path of a .toml file; or an example that describes its own system.",
-)
-starts_option = click.option(
-    "--starts",
-    type=click.IntRange(1, MAX_STARTS),
-    default=AttractorSettings.count,
-    show_default=True,
-    help="Initial states from which all attractors are found.",
-)
 
 
 def out_option(words: str, required: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -128,11 +101,6 @@ def store_argument(command: Callable[..., None]) -> Callable[..., None]:
     return click.argument("store", type=PLACE)(storage_option(command))
 
 
-def maybe_store_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a command with the optional argument STORE, and with the option --storage-option."""
-    return click.argument("store", required=False, type=PLACE)(storage_option(command))
-
-
 def figure_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that adds the options of a picture's layout and limits, except for those in ``without``."""
     options = {
@@ -159,22 +127,6 @@ def figure_options(*without: str) -> Callable[[Callable[..., None]], Callable[..
     return decorate
 
 
-def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds an option for every field of Settings, except for those in ``without``."""
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        choices = {name: click.Choice(known) for name, known in VALID_WORDS.items()}
-        for field in reversed([field for field in fields(Settings) if field.name not in without]):
-            kinds = {int: click.INT, float: click.FLOAT, str: click.STRING}
-            kind = choices.get(field.name) or kinds[type(field.default)]
-            name = f"--{field.name.replace('_', '-')}"
-            words = SETTING_MEANINGS[field.name]
-            command = click.option(name, type=kind, default=field.default, show_default=True, help=words)(command)
-        return command
-
-    return decorate
-
-
 def examples(*lines: str) -> str:
     """Return example command lines as the last part of a command's help."""
     return _as_it_stands("Examples:", lines)
@@ -190,34 +142,11 @@ def _as_it_stands(title: str, lines: Iterable[str]) -> str:
     return "\b\n" + "\n".join([title, *(f"  {line}" for line in lines)])  # \b keeps click from filling the lines
 
 
-def check_cell_options(store: str | None) -> None:
-    """Check the options of a command about one cell, which is a cell of ``store`` or given by its parameters.
-
-    Raise InputError for an option that is meant for the other case.
-    """
-    context = click.get_current_context()
-    settings = {field.name for field in fields(Settings)}
-    wrong = {"point", "select"} if store is None else {"parameters", "system"} | settings
-    for option in options_given(context):
-        if option.name in wrong and store is None:
-            raise InputError(f"{option.opts[-1]} needs a STORE; to give parameters without a store use --set")
-        if option.name in wrong:
-            advice = "to choose a cell of a STORE use --at"
-            raise InputError(f"{option.opts[-1]} is for a cell without a STORE; {advice}")
-
-
 def options_given(context: click.Context) -> Iterator[click.Parameter]:
     """Yield those options and arguments of a command that the user gave on the command line."""
     for option in context.command.params:
         if context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE:
             yield option
-
-
-def resolve_cell(parameters: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
-    """Return the system, the checked parameters and the settings of a cell from the values of command-line options."""
-    settings, record = parse_settings(solve), parse_system(system)
-    validate_parameters(record, parameters)
-    return record, parameters, observable_settings(settings, record)
 
 
 def open_selection(store: str | StoreBackend, selection: Mapping[str, float]) -> "xr.Dataset":
@@ -249,29 +178,26 @@ def timing_of(ctx: click.Context) -> Timing:
 
 
 def worker_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a command with the options --scheduler, --workers and --dashboard.
+    """Decorate a command with the options of its workers: --scheduler, files for TLS, --workers and --dashboard.
 
     The command receives them as ``RunOptions``.
     """
 
     @scheduler_option
+    @click.option("--tls-ca-file", **_FILE, help="Authority of a tls:// scheduler; default: Dask's configuration.")
+    @click.option("--tls-cert", **_FILE, help="This program's certificate.")
+    @click.option("--tls-key", **_FILE, help="The key of that certificate.")
     @workers_option
-    @dashboard_option
+    @click.option("--dashboard/--no-dashboard", default=True, help="Serve Dask's dashboard; needs Bokeh.")
     @click.pass_context
     @wraps(command)
-    def wrapper(
-        ctx: click.Context, /, scheduler: str | None, workers: int | None, dashboard: bool, **arguments: Any
-    ) -> None:
-        check_workers(scheduler, workers)
-        command(ctx, options=RunOptions(workers, scheduler, dashboard=dashboard, timing=timing_of(ctx)), **arguments)
+    def wrapper(ctx: click.Context, /, scheduler: Any, workers: Any, dashboard: bool, **arguments: Any) -> None:
+        files = [arguments.pop(name) for name in ("tls_ca_file", "tls_cert", "tls_key")]
+        tls = Tls(*files) if any(files) else None
+        options = RunOptions(workers, scheduler, tls, dashboard=dashboard, timing=timing_of(ctx))
+        command(ctx, options=options, **arguments)
 
     return wrapper
-
-
-def check_workers(scheduler: str | None, workers: int | None) -> None:
-    """Raise InputError if both a scheduler and a number of workers are given."""
-    if scheduler is not None and workers is not None:
-        raise InputError("--workers starts local processes, --scheduler uses an existing cluster; give only one")
 
 
 @contextmanager
@@ -375,12 +301,6 @@ def read_bounds(where: str, value: str) -> tuple[float, float]:
     return bounds
 
 
-at_option = pairs_option(
-    "--at", "NAME=VALUE", "With STORE: its cell nearest to a point; one value for each axis.", read_number, "point"
-)
-set_option = pairs_option(
-    "--set", "NAME=VALUE", "A parameter that differs from its default.", read_number, "parameters"
-)
 select_option = pairs_option(
     "--select", "NAME=VALUE", "The plane of a stack, or the line of cells, nearest to VALUE.", read_number
 )

@@ -1,16 +1,18 @@
 """Commands that ask a store: shares of regimes, one cell, basins, an export."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from atlas.cli.cell_options import at_option
 from atlas.cli.options import (
     Bounds,
     Numbers,
-    at_option,
     examples,
     input_errors,
     json_option,
@@ -35,22 +37,55 @@ if TYPE_CHECKING:
     from atlas.query.window import Window
 
 
+@dataclass(frozen=True)
+class Question:
+    """A question to a store: the store, values of --select, and the window of --window."""
+
+    store: Any
+    select: Numbers
+    window: Bounds
+
+    @contextmanager
+    def open(self, counted: bool = False) -> Iterator[tuple["xr.Dataset", "Window"]]:
+        """Open the store, and yield the selected dataset and the window.
+
+        With ``counted`` print the number of chunks read at the end.
+        """
+        from atlas.query import read_counter
+
+        with input_errors(), read_counter.count_chunk_reads() as cost:
+            yield open_selection(self.store, self.select), self.window
+        if counted:
+            print_status(f"{plural(cost.chunks, 'chunk')} read from the store")
+
+
+def question_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a command with STORE, --window and --select; the command receives a Question."""
+
+    @store_argument
+    @window_option
+    @select_option
+    @wraps(command)
+    def wrapper(store: Any, select: Numbers, window: Bounds, **arguments: Any) -> None:
+        command(question=Question(store, select, window), **arguments)
+
+    return wrapper
+
+
 @click.command(
     epilog=examples("atlas query plane.zarr --window omega=2:3", "atlas query plane.zarr --at omega=3 --at b=0.15")
 )
-@store_argument
+@question_options
 @at_option
-@window_option
-@select_option
 @json_option
-def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: bool) -> None:
+def query(question: Question, point: Numbers, as_json: bool) -> None:
     """Print the share of each regime in STORE or in a window of it; with --at all results of one cell.
 
     Shares are of the area in the axes' own units. Also see: atlas find, export, plot.
     """
-    if point and window:
+    if point and question.window:
         raise InputError("--at selects one cell, --window a part of the plane; give only one")
-    with open_question(store, select, window, counted=not point and not as_json) as (ds, bounds):
+    with question.open(counted=not point and not as_json) as (ds, bounds):
         from atlas.query import queries as questions
 
         results: dict[str, Any] = (
@@ -80,31 +115,27 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
         "atlas export plane.zarr --window omega=2:3 -o part.csv", "atlas export stack.zarr --select R=0.7 -o plane.nc"
     )
 )
-@store_argument
-@window_option
-@select_option
+@question_options
 @out_option("The file: .csv, or .nc for netCDF.", required=True)
 @json_option
-def export(store: str, window: Bounds, select: Numbers, out: Path, as_json: bool) -> None:
+def export(question: Question, out: Path, as_json: bool) -> None:
     """Write the cells of STORE, or of a window of it, to a CSV or netCDF file."""
     from atlas.query.export import FORMATS, check_target
     from atlas.query.export import export as write
 
     check_target(out, FORMATS)
-    with open_question(store, select, window) as (ds, bounds):
+    with question.open() as (ds, bounds):
         print_status("reading and writing")
         message = {"file": str(out), "cells": write(ds, out, bounds)}
         click.echo(to_json(message)) if as_json else print_values(message)
 
 
 @click.command("basins", epilog=examples("atlas attractors basins basins.zarr"))
-@store_argument
-@window_option
-@select_option
+@question_options
 @json_option
-def basin_measures(store: str, window: Bounds, select: Numbers, as_json: bool) -> None:
+def basin_measures(question: Question, as_json: bool) -> None:
     """Shares (basin stability), entropy and boundary dimension of the basins in STORE, a plane of initial states."""
-    with open_question(store, select, window, counted=not as_json) as (ds, bounds):
+    with question.open(counted=not as_json) as (ds, bounds):
         from atlas.query.basins import basins
 
         measures = basins(ds, bounds)
@@ -118,19 +149,3 @@ def _measured(ds: "xr.Dataset") -> str:
 
     names = axis_names(ds)
     return "the points" if names == (POINT,) else ("the length", "the area", "the volume")[len(names) - 1]
-
-
-@contextmanager
-def open_question(
-    store: str, select: Numbers, window: Bounds, counted: bool = False
-) -> Iterator[tuple["xr.Dataset", "Window"]]:
-    """Open a store for a query, and yield the selected dataset and the window.
-
-    With ``counted`` print the number of chunks read at the end.
-    """
-    from atlas.query import read_counter
-
-    with input_errors(), read_counter.count_chunk_reads() as cost:
-        yield open_selection(store, select), window
-    if counted:
-        print_status(f"{plural(cost.chunks, 'chunk')} read from the store")

@@ -25,7 +25,6 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import emit, to_json
 from atlas.errors import InputError
-from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run
 from atlas.service.options import RunOptions
@@ -123,22 +122,6 @@ def _out_option(command: Callable[..., None]) -> Callable[..., None]:
     return click.option("-o", "--out", type=PLACE, required=True, help=words)(storage_option(command))
 
 
-def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a command with the options of an encrypted connection to a scheduler."""
-    for option in (
-        click.option("--tls-key", type=PLACE, metavar="FILE", help="The key of that certificate."),
-        click.option("--tls-cert", type=PLACE, metavar="FILE", help="This program's certificate."),
-        click.option(
-            "--tls-ca-file",
-            type=PLACE,
-            metavar="FILE",
-            help="Authority of a tls:// scheduler; default: Dask's configuration.",
-        ),
-    ):
-        command = option(command)
-    return command
-
-
 @click.command(
     epilog=examples(
         "atlas run plane.toml -o plane.zarr",
@@ -147,7 +130,6 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 )
 @spec_argument
 @_out_option
-@_tls_options
 @points_option
 @observe_option
 @worker_options
@@ -171,12 +153,11 @@ def run(
     report: str | None,
     tile: str | None,
     log: str | None,
-    **tls: str | None,
 ) -> None:
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
     read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", part) for part in tile.split(","))
-    options = replace(options, tls=_tls(**tls), tile=index, performance_report=report)
+    options = replace(options, tile=index, performance_report=report)
     with _logged(log), progress.resumable(ctx, options, with_time) as run_options:
         summary = run_spec(read, out, options=run_options)
     _report(ctx, summary)
@@ -193,7 +174,6 @@ def run(
 @click.option("-o", "--out", type=PLACE, required=True, help="The new store, a path or a URL: made, or completed.")
 @click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than that of the spec.")
 @click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer survival than that of the spec.")
-@_tls_options
 @worker_options
 def retry(
     ctx: click.Context,
@@ -204,14 +184,12 @@ def retry(
     max_periods: int | None,
     survival: int | None,
     options: RunOptions,
-    **tls: str | None,
 ) -> None:
     """Solve cells of STORE again, with more periods or a longer survival, into a new store with all other cells.
 
     REGIMES is one or more of undetermined, chaotic, aperiodic, separated by commas. STORE does not change. The same
     command resumes a retry that was stopped.
     """
-    options = replace(options, tls=_tls(**tls))
     with progress.resumable(ctx, options) as run_options:
         summary = retry_store(store, out, regimes, max_periods, survival, options=run_options)
     _report(ctx, summary)
@@ -251,8 +229,6 @@ def extend(
     SPEC may differ from that of STORE only in the values on the axes. The same command resumes an extension that was
     stopped.
     """
-    if (spec is None) == (not refine):
-        raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
     with progress.resumable(ctx, options, with_time) as run_options:
@@ -284,11 +260,6 @@ def _logged(path: str | None) -> Iterator[None]:
         logger.removeHandler(handler)
         logger.setLevel(level)
         handler.close()
-
-
-def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> Tls | None:
-    """Return the given files of an encrypted connection as one record; None if no file is given."""
-    return Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
 
 
 def _report(ctx: click.Context, summary: RunSummary) -> None:

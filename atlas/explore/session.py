@@ -19,6 +19,7 @@ from atlas.query.open import handle_of
 from atlas.query.window import Window, axis_names, axis_values
 from atlas.service.clients import check_kind
 from atlas.service.cluster import active_client, connect_to_scheduler, local_cluster
+from atlas.service.options import RunOptions
 from atlas.service.timing import TIMING, Timing
 from atlas.store.store import AtlasStore
 
@@ -118,8 +119,7 @@ def explore(
     per processor. A page is sent only to addresses with the session's token. Raise InputError if the subject cannot be
     explored or an argument is invalid.
     """
-    if workers is not None and workers < 1:
-        raise InputError(f"workers: found {workers!r}, must be 1 or more")
+    RunOptions(workers, scheduler)  # raises if they are invalid, or contradict each other
     if not 0 < tolerance < math.inf:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = source if isinstance(source, Subject) else subject_of(source, view, tolerance)

@@ -157,7 +157,7 @@ class Pyramid:
         if self.exists:
             return
         backend, top = self.handle.backend, f"{GROUP}/{ROOT}"
-        drop_overviews(self.handle)
+        drop_group(self.handle, GROUP)
         backend.remove_all(backend.list_keys(f"{GROUP}/"))
         objects = self.layout()
         backend.put_all({key: data for key, data in objects.items() if key != top})
@@ -293,17 +293,12 @@ class Pyramid:
 
 def pyramid_of(handle: AtlasStore) -> Pyramid:
     """Return the cells and overviews of a store, opened once for a handle and its copies with other backends."""
-    with handle.cache.lock:
-        pyramid = handle.cache.get(GROUP) or Pyramid(handle)
-        handle.cache[GROUP] = pyramid
+    pyramid = handle.cached(GROUP, lambda: Pyramid(handle))
+    if not pyramid.exists and pyramid.levels.count:  # a run makes them after the store
+        pyramid = handle.cache[GROUP] = Pyramid(handle)
     through = copy(pyramid)  # shares open arrays, with the handle that writes
     through.handle = handle
     return through
-
-
-def drop_overviews(handle: AtlasStore) -> None:
-    """Make all overviews count as absent, by removing the metadata of their group."""
-    drop_group(handle, GROUP)
 
 
 @contextmanager

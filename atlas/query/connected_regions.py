@@ -19,6 +19,7 @@ from atlas.query.window import Window, axis_names, axis_values, cell_edges, chec
 from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 _CELLS_PER_BLOCK = 1 << 20
@@ -112,7 +113,7 @@ class _Regions:
     sides              axes of the regions, by dimension
     labels             label of each cell, with all dimensions rising; 0 for none
     values             class of each region
-    areas              area of each region
+    sums               sums over the cells of each region, as ``_cells`` lists them
     labels_at_pending  labels of the regions with a pending neighbour cell
     """
 
@@ -120,7 +121,7 @@ class _Regions:
     sides: tuple[_RegionAxis, ...]
     labels: NDArray[np.int32]
     values: list[Any]
-    areas: NDArray[np.float64]
+    sums: "pd.DataFrame"
     labels_at_pending: set[int]
 
     def as_given(self) -> NDArray[np.int32]:
@@ -131,21 +132,19 @@ class _Regions:
 
     def listed(self) -> list[dict[str, Any]]:
         """Return the regions as the dicts that ``regions`` describes."""
-        centres, nearest = _centres(self.labels, self.sides, len(self.values))
-        cells = np.bincount(self.labels.ravel(), minlength=len(self.values) + 1)
         total = float(np.prod([(side.high - side.low).sum() for side in self.sides]))
-        boxes = ndimage.find_objects(self.labels)
-        listed = []
-        for k, value in enumerate(self.values):
-            along = list(enumerate(self.sides))[::-1]  # x first
+        nearest, boxes = _nearest(self.labels, self.sides, self.sums), ndimage.find_objects(self.labels)
+        sums, listed = self.sums.to_dict("list"), []
+        along = list(enumerate(self.sides))[::-1]  # x first
+        for k, (value, area) in enumerate(zip(self.values, sums["area"], strict=True)):
             listed.append({
                 "label": k + 1,
                 self.by: value,
-                "cells": int(cells[k + 1]),
-                "area": float(self.areas[k]),
-                "share": float(self.areas[k]) / total,
-                "centre": {side.name: float(centres[i][k]) for i, side in along},
-                "cell": {side.name: float(side.points[nearest[k][i]]) for i, side in along},
+                "cells": sums["cells"][k],
+                "area": area,
+                "share": area / total,
+                "centre": {side.name: sums[f"moment {i}"][k] / area for i, side in along},
+                "cell": {side.name: float(side.points[nearest[f"index {i}"].iloc[k]]) for i, side in along},
                 "box": {side.name: side.span(boxes[k][i]) for i, side in along},
                 "cut": [*self._cut(boxes[k]), *(["pending cells"] if k + 1 in self.labels_at_pending else [])],
             })  # fmt: skip
@@ -162,6 +161,8 @@ class _Regions:
 def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_cells: int) -> _Regions:
     if not is_integer(min_cells) or min_cells < 1:
         raise InputError(f"min_cells: found {brief_repr(min_cells)}, must be a whole number of cells, 1 or more")
+    import pandas as pd
+
     check_not_points(ds, "regions")
     by, value = parse_class(by, value)
     classes, part = CellClassifier(ds, by, value), select_window(ds, window)
@@ -173,14 +174,12 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
     rising = np.ix_(*(side.order for side in sides))
     numbers, pending = numbers[rising], pending[rising]
     label, values = label_components(numbers, classes.list_classes())
-    cells = np.bincount(label.ravel(), minlength=len(values) + 1)[1:]
-    areas = _sums(label, sides, len(values))[0]
-    large_regions = np.flatnonzero(cells >= min_cells)
-    order = large_regions[np.argsort(-areas[large_regions], kind="stable")]
+    sums = pd.concat([cells.groupby("label").sum() for cells in _cells(label, sides)]).groupby("label").sum()
+    sums = sums[sums["cells"] >= min_cells].sort_values("area", ascending=False, kind="stable")
     renamed = np.zeros(len(values) + 1, np.int32)
-    renamed[order + 1] = np.arange(1, order.size + 1)
+    renamed[sums.index] = np.arange(1, len(sums) + 1)
     label = renamed[label]
-    return _Regions(by, sides, label, [values[k] for k in order], areas[order], _beside(label, pending))
+    return _Regions(by, sides, label, [values[k - 1] for k in sums.index], sums, _beside(label, pending))
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _RegionAxis:
@@ -212,59 +211,40 @@ def label_components(
     return label, owners
 
 
-def _strips(label: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[Any]]]:
-    """Yield the labelled cells in blocks of rows: their labels (N,), and their index (N,) along every dimension.
+def _cells(labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...]) -> Iterator["pd.DataFrame"]:
+    """Yield the cells of regions in blocks of rows, as tables with one row per cell: its label, 1, and its area.
 
-    ``label`` is the label of every cell; cells with 0 are left out.
+    For each dimension follow the index of the cell, and the area times the cell's midpoint. ``labels`` is the label of
+    every cell; cells with 0 are left out.
     """
-    rows = max(1, _CELLS_PER_BLOCK * label.shape[0] // max(1, label.size))
-    for first in range(0, label.shape[0], rows):
-        strip = label[first : first + rows]
-        inside = np.flatnonzero(strip)
-        at = np.unravel_index(inside, strip.shape)
-        yield strip.ravel()[inside], [at[0] + first, *at[1:]]
+    import pandas as pd
+
+    rows = max(1, _CELLS_PER_BLOCK * labels.shape[0] // max(1, labels.size))
+    for first in range(0, labels.shape[0], rows):
+        at = np.nonzero(labels[first : first + rows])
+        index = [at[0] + first, *at[1:]]
+        area = np.prod([(side.high - side.low)[i] for side, i in zip(sides, index, strict=True)], axis=0)
+        columns: dict[str, Any] = {"label": labels[tuple(index)], "cells": 1, "area": area}
+        for k, (side, i) in enumerate(zip(sides, index, strict=True)):
+            columns |= {f"index {k}": i, f"moment {k}": area * 0.5 * (side.low + side.high)[i]}
+        yield pd.DataFrame(columns)
 
 
-def _sums(labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int) -> NDArray[np.float64]:
-    """Return sums over the cells of each region, as an array with one column per region.
+def _nearest(labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], sums: "pd.DataFrame") -> "pd.DataFrame":
+    """Return the indices of the cell of each region that is nearest to the mean of the region's cells, by label.
 
-    The first row is the area. For each dimension two rows follow: the sum of area times midpoint, and of the cell
-    index.
-
-    labels   label of each cell
-    sides    axes by dimension
-    count    number of regions
+    Of equal distances the first cell counts. Arguments are the fields of ``_Regions``.
     """
-    sums = np.zeros((1 + 2 * len(sides), count))
-    for label, at in _strips(labels):
-        area = np.prod([(side.high - side.low)[i] for side, i in zip(sides, at, strict=True)], axis=0)
-        weights = [area]
-        for side, i in zip(sides, at, strict=True):
-            weights += [area * 0.5 * (side.low + side.high)[i], i.astype(np.float64)]
-        for total, weight in zip(sums, weights, strict=True):
-            total += np.bincount(label - 1, weights=weight, minlength=count)
-    return sums
+    import pandas as pd
 
-
-def _centres(
-    labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int
-) -> tuple[list[NDArray[np.float64]], NDArray[np.intp]]:
-    """Return the centre of area of each region along each dimension, and the cell nearest to the mean of its cells.
-
-    Centres are coordinates. The nearest cell is given, and found, by the indices of the cells. Arguments are those of
-    ``_sums``.
-    """
-    sums = _sums(labels, sides, count)
-    cells = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    middle = [total / cells for total in sums[2::2]]
-    best, nearest = np.full(count, np.inf), np.zeros((count, len(sides)), np.intp)
-    for label, at in _strips(labels):
-        away = sum((i - m[label - 1]) ** 2 for i, m in zip(at, middle, strict=True))
-        before = best.copy()
-        np.minimum.at(best, label - 1, away)
-        hit = np.flatnonzero((away == best[label - 1]) & (away < before[label - 1]))[::-1]  # the first of equals
-        nearest[label[hit] - 1] = np.stack([i[hit] for i in at], axis=1)
-    return [total / sums[0] for total in sums[1::2]], nearest
+    names = [f"index {k}" for k in range(len(sides))]
+    middle, best = sums[names].to_numpy() / sums[["cells"]].to_numpy(), []
+    for cells in _cells(labels, sides):
+        away = ((cells[names].to_numpy() - middle[cells["label"] - 1]) ** 2).sum(axis=1)
+        cells["away"] = away
+        best.append(cells.loc[cells.groupby("label")["away"].idxmin()])
+    nearest = pd.concat(best, ignore_index=True)
+    return nearest.loc[nearest.groupby("label")["away"].idxmin()]
 
 
 def _beside(label: NDArray[np.int32], pending: NDArray[np.bool_]) -> set[int]:

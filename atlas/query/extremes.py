@@ -6,7 +6,7 @@ import numpy as np
 
 from atlas.argument_checks import check_name
 from atlas.errors import InputError, check_names
-from atlas.query.cell_blocks import CellBlock, iter_cell_blocks
+from atlas.query.cell_blocks import iter_cell_blocks
 from atlas.query.classes import CellClassifier
 from atlas.query.window import Window, axis_names, axis_values, columns, select_window
 from atlas.spec.system import stored_system
@@ -38,6 +38,8 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     per cell, and as ``regions`` does. The variable and the variables that determine the class are read, in tiles with
     such cells.
     """
+    import pandas as pd
+
     check_name("variable", name)
     check_name("by", by)
     check_number(ds, name)
@@ -47,59 +49,36 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     if classes is not None:
         codes = codes & {*classes.codes}
     needed = [name, *(classes.names if classes else ())]
-    dims = part[REGIME.name].dims
-    best: dict[int, _ExtremeTracker] = {}
+    dims, tables = [str(dim) for dim in part[REGIME.name].dims], []
     for block in iter_cell_blocks(part, needed, codes):
         counted = np.isin(block.regime, list(codes)) & np.isfinite(block.values[name])
         if meant.allows_infinite:
             counted &= block.values[name] >= 0
         numbers = np.where(counted, 1 if classes is None else classes.number(block), 0)
-        for number in np.unique(numbers[numbers > 0]).tolist():
-            best.setdefault(number, _ExtremeTracker()).add(block, block.values[name], numbers == number)
-    ordered = [(1, None)] if classes is None else classes.list_classes()
+        at = np.nonzero(numbers)
+        index = {dim: i + side.start for dim, i, side in zip(dims, at, block.cells, strict=True)}
+        cells = pd.DataFrame({"class": numbers[at], "value": block.values[name][at], **index})
+        ends = cells.groupby("class")["value"].agg(["idxmin", "idxmax", "size"])
+        for extreme, first in (("smallest", "idxmin"), ("largest", "idxmax")):
+            tables.append(cells.loc[ends[first]].assign(extreme=extreme, cells=ends["size"].to_numpy()))
     entries: list[dict[str, Any]] = []
-    for number, value in ordered:
-        for extreme, (at, number_there) in best[number].ends() if number in best else ():
-            index = dict(zip(map(str, dims), at, strict=True))
+    table = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=["class", "extreme"])
+    for number, value in [(1, None)] if classes is None else classes.list_classes():
+        for extreme, rising in (("smallest", True), ("largest", False)):
+            rows = table[(table["class"] == number) & (table["extreme"] == extreme)]
+            if rows.empty:
+                continue
+            best = rows.sort_values(["value", *dims], ascending=[rising] + [True] * len(dims)).iloc[0]
+            cell = {dim: int(best[dim]) for dim in dims}
             entry: dict[str, Any] = {} if classes is None else {by: value}
             entry |= {"extreme": extreme}
-            entry |= {axis: float(axis_values(part, axis)[index[axis]]) for axis in axis_names(part)}
-            entry |= {name: float(axis_values(part, name)[at[0]]) for name in columns(part)}
-            entry["value"] = number_there
+            entry |= {axis: float(axis_values(part, axis)[cell[axis]]) for axis in axis_names(part)}
+            entry |= {column: float(axis_values(part, column)[cell[dims[0]]]) for column in columns(part)}
+            entry["value"] = best["value"].item()
             if name == LARGEST.name and ERROR.name in ds:
-                entry["error"] = float(part[ERROR.name].isel(index).values)
-            entries.append(entry | {"cells": best[number].cells})
+                entry["error"] = float(part[ERROR.name].isel(cell).values)
+            entries.append(entry | {"cells": int(rows["cells"].sum())})
     return entries
-
-
-class _ExtremeTracker:
-    """The smallest and the largest value of the cells seen so far, with the indices of their cells."""
-
-    def __init__(self) -> None:
-        self.cells = 0
-        self.low: tuple[Any, tuple[int, ...]] | None = None
-        self.high: tuple[Any, tuple[int, ...]] | None = None
-
-    def add(self, block: CellBlock, values: Any, cells: Any) -> None:
-        """Update both extremes with the values of a block of cells; only cells in the mask ``cells`` count."""
-        at = np.argwhere(cells)
-        self.cells += len(at)
-        inside = values[cells]
-        for low, k in ((True, int(inside.argmin())), (False, int(inside.argmax()))):
-            value = inside[k].item()
-            index = tuple(int(i) + s.start for i, s in zip(at[k], block.cells, strict=True))
-            before = self.low if low else self.high
-            better = before is None or (value < before[0] if low else value > before[0])
-            if better or (before is not None and value == before[0] and index < before[1]):
-                if low:
-                    self.low = value, index
-                else:
-                    self.high = value, index
-
-    def ends(self) -> list[tuple[str, tuple[tuple[int, ...], Any]]]:
-        """Return both extremes by name, "smallest" and "largest", each with the indices of its cell and its value."""
-        assert self.low is not None and self.high is not None
-        return [("smallest", self.low[::-1]), ("largest", self.high[::-1])]
 
 
 def variable_of(ds: "xr.Dataset", name: str) -> Variable:

@@ -77,7 +77,7 @@ def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
 
     ds       the sweep
     x        name of its axis
-    states   physical states (cell, sample, component)
+    states   physical states (cell, ..., component)
 
     For an atlas with an unknown system the result is the first component.
     """
@@ -87,7 +87,7 @@ def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
     rows = gap_rows(system, {**fixed(ds, system), x: np.asarray(ds[x].values, np.float64)})
     gap = np.zeros(states.shape[:-1])
     for i in np.flatnonzero(np.any(rows != 0.0, axis=0)):  # other components are not read
-        gap += rows[:, i, None] * np.asarray(states[..., int(i)].values)
+        gap += rows[:, i].reshape(-1, *[1] * (gap.ndim - 1)) * np.asarray(states[..., int(i)].values)
     return gap
 
 

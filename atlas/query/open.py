@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, InputError, message_of
 from atlas.store.groups import group_attributes, group_layout
+from atlas.store.handle_cache import keep_handle, known_handle
 from atlas.store.metadata import ROOT, describe_difference
 from atlas.store.object_backend import Given
 from atlas.store.schema import LABELS, STABILITY
@@ -17,13 +18,6 @@ if TYPE_CHECKING:
 
 SOURCE, _RUN_ID = "source", "run_id"
 """Keys, in a dataset's encoding, of the name of its store and of the identifier of the run that created the store."""
-_opened: dict[tuple[str, str | None], AtlasStore] = {}
-"""Handles of the stores that this process opened as datasets, by name and run, the least recently opened first.
-
-A handle has what was read of the store when the dataset was opened, and the access to the store.
-"""
-MAX_OPENED = 64
-"""Maximum number of handles that are kept; the store of an older dataset is opened again by its name."""
 LAYERS = "layers"
 """Key, in a dataset's encoding, of the layers that each Dask array's graph had when the dataset was opened."""
 Chunks = int | str | Mapping[Any, Any] | None
@@ -60,12 +54,8 @@ def open_atlas(
 
 def attach_store(ds: "xarray.Dataset", handle: AtlasStore) -> None:
     """Record in a dataset the name of the store that it shows, so that ``handle_of`` finds the store's handle."""
-    name, run_id = str(handle.backend), handle.run_id
-    _opened.pop((name, run_id), None)
-    _opened[name, run_id] = handle
-    for oldest in list(_opened)[:-MAX_OPENED]:
-        _opened.pop(oldest, None)  # another thread may have been faster
-    ds.encoding |= {SOURCE: name, _RUN_ID: run_id}
+    keep_handle(handle)
+    ds.encoding |= {SOURCE: str(handle.backend), _RUN_ID: handle.run_id}
 
 
 def handle_of(ds: "xarray.Dataset") -> AtlasStore:
@@ -78,12 +68,10 @@ def handle_of(ds: "xarray.Dataset") -> AtlasStore:
     if not isinstance(name, str):
         raise InputError("this dataset has no reference to its store; use the dataset that atlas.open returns")
     run_id = ds.encoding.get(_RUN_ID, ds.attrs.get("run_id"))
-    known = _opened.get((name, run_id))
-    handle = open_store(name) if known is None else known.current()
+    handle = known_handle(name)
     if run_id not in (None, handle.run_id):
         raise InputError(f"{handle.backend}: the store was replaced after this dataset was opened; open it again")
-    if handle is not known:
-        attach_store(ds, handle)
+    attach_store(ds, handle)
     return handle
 
 

@@ -1,8 +1,10 @@
 """Pictures of results, drawn with Matplotlib, without a display and without pyplot.
 
-To add a kind of map, add a row to ``kinds.py`` and a painter, the function that builds its layers, to ``class_maps.py``
-or ``scalar_maps.py``, and name the painter in ``painters.py``. The tests then include the kind; ``python -m
-tests.reference`` draws the reference picture that they need.
+What a picture shows is plain data, which figures and pages draw alike: layers, colours, scales and overlays. To add a
+kind of map, add a row to ``kinds.py`` and a painter, the function that builds its layers, to ``class_maps.py`` or
+``scalar_maps.py``, and name the painter in ``painters.py``. To add an overlay, add its function and its row in
+``overlays.py``, and its meaning in ``kinds.py``. The tests then include the kind; ``python -m tests.reference`` lists
+what its reference picture shows.
 """
 
 from atlas.render.drawing import figure, portrait, render

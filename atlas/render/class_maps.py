@@ -3,14 +3,12 @@
 The functions return layers: codes of cells with their colours, hatches and legend, from which a figure is drawn.
 """
 
-import colorsys
 from collections.abc import Sequence
 from dataclasses import replace
 from zlib import crc32
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import to_hex, to_rgb
 from numpy.typing import NDArray
 
 from atlas.query import basins as reached
@@ -18,17 +16,17 @@ from atlas.query.attractors import branches
 from atlas.query.motions import VARIABLES, MotionName
 from atlas.query.motions import motions as motions_of
 from atlas.query.plane import Plane
-from atlas.render import style, text
+from atlas.render import looks, text
 from atlas.render.layers import (
     Class,
     HatchLayer,
-    LegendEntry,
     MapLayers,
     MapView,
     PointLayer,
     ShadingLayer,
     build_layers,
 )
+from atlas.render.looks import LegendEntry, MarkLook
 from atlas.store.schema import REGIME_COLORS
 from workers.results import ATTRACTOR, CYCLE_PERIOD, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED, Variable
 
@@ -125,7 +123,7 @@ def motions(view: MapView) -> MapLayers:
         more = ", …" if len(shared) > _NAMED else ""
         legend += [LegendEntry(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
     legend += [LegendEntry(STICKS, label, STICKS_HATCH) for color, label in listed_motions if color == STICKS]
-    rests = HatchLayer((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
+    rests = HatchLayer((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, looks.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(names) if motion.p >= 0]
     key = text.motion_key(view.ds)
     return build_layers(
@@ -185,8 +183,7 @@ def colors_of(
         elif 0 <= mirror < k and colors[mirror] == rest:
             colors.append(colors[mirror])
         elif 0 <= mirror < k:
-            hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(colors[mirror]))
-            colors.append(to_hex(colorsys.hls_to_rgb(hue, mirrored, saturation)))
+            colors.append(looks.with_lightness(colors[mirror], mirrored))
         elif rest is not None and used >= len(palette):
             colors.append(rest)
         else:
@@ -200,7 +197,7 @@ def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
 
     With ``ink`` the colours suit points on white.
     """
-    quiet = style.INK[NO_IMPACT] if ink else REGIME_COLORS[NO_IMPACT]
+    quiet = looks.INK[NO_IMPACT] if ink else REGIME_COLORS[NO_IMPACT]
     return colors_of(known, PALETTE, DARKER, quiet, REST)
 
 
@@ -247,7 +244,7 @@ def basins(view: MapView) -> MapLayers:
             meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} {periods}"
             at = sum(bool(cells.any()) for cells, _, _ in named)  # entries go after the attractors, before the regimes
             legend.insert(at, LegendEntry("#c8c8c8", meaning, min_brightness=SLOW))
-    entry = "attractor" if unforced else "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
+    entry = MarkLook("attractor" if unforced else "attractor at $t = kT$", "o", 5.0, "white", "black", 1.0)
     return replace(layers, legend=legend, shade=shade, points=points, point_entry=entry)
 
 
@@ -277,6 +274,6 @@ def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[PointLay
     for k, color in enumerate(colors):
         one = known.isel({ATTRACTOR: k})
         single = int(one["period"]) > 0 and not is_cycle(one)
-        look = ("o", 5.0, color, "black", 0.8) if single else (".", 2.0, color, "black", 0.2)
+        look = MarkLook("", *(("o", 5.0, color, "black", 0.8) if single else (".", 2.0, color, "black", 0.2)))
         points.append(PointLayer(one["points"].values[:, at], look))
     return points

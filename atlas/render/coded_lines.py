@@ -1,24 +1,21 @@
 """Overlays and labels of a map as plain JSON and arrays, for a web page that draws them itself."""
 
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.markers import MarkerStyle
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
 from atlas.query.plane import Plane
-from atlas.render import overlays, style
-from atlas.render.coded_maps import described_curves, text_of
-from atlas.render.kinds import OverlayError
-from atlas.render.label_placement import places
-from atlas.render.layers import MapLayers, MapView
-from atlas.render.outlines import simplify_regimes
+from atlas.render.coded_maps import text_of
+from atlas.render.kinds import CURVES
+from atlas.render.label_placement import place_names
+from atlas.render.layers import MapLayers, MapView, Overlay
+from atlas.render.looks import LineLook, MarkLook
+from atlas.render.overlays import Size, overlay_of
 
 Array = NDArray[np.float64]
-Size = tuple[float, float]
-"""Width and height of a plane, in pixels."""
 
 NAME_SIZE = 11.5
 """Type size of labels, in pixels."""
@@ -43,65 +40,43 @@ def lines_over(view: MapView, name: str, size: Size) -> OverlayLines:
 
     Raise OverlayError if the overlay cannot be drawn.
     """
-    try:
-        return _OVERLAYS[name](view, size)
-    except InputError as error:
-        raise OverlayError(name, str(error)) from None
+    overlay = overlay_of(view, name, size)
+    regions = None if overlay.regions is None else overlay.regions.astype(np.uint8)
+    return OverlayLines(_described(view.plane, overlay), regions)
 
 
 def names_on(layers: MapLayers, plane: Plane, size: Size) -> list[dict[str, Any]]:
     """Return the labels that fit into regions of a map of ``size`` pixels, each with its position, angle and colour."""
-    (x, columns), (y, rows) = plane.x.even(), plane.y.even()
-    step, even_index = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
-    names = []
-    for spot in places([(cells[even_index], name) for cells, name, _ in layers.names], step, NAME_SIZE):
-        _, text, under = layers.names[spot.number]
-        at = x.values[spot.cell[1]], y.values[spot.cell[0]]
-        names.append(_name(text, at, spot.angle, style.ink_on(under)))
-    return names
+    return [{**name._asdict(), "size": NAME_SIZE} for name in place_names(layers.names, plane, size, NAME_SIZE)]
 
 
-def _name(text: str, at: Iterable[float], angle: float, color: str) -> dict[str, Any]:
-    x, y = map(float, at)
-    return {"x": x, "y": y, "text": text, "angle": angle, "color": color, "size": NAME_SIZE}
+def _described(plane: Plane, overlay: Overlay) -> dict[str, Any]:
+    """Return an overlay as plain JSON, only with what lies in the plane."""
+    low, high = map(np.array, _ends(plane))
 
+    def visible(spots: Any) -> list[list[Any]]:
+        return [list(spot) for spot in spots if np.all((low <= spot[1:]) & (spot[1:] <= high))]
 
-def _grazing(view: MapView, size: Size) -> OverlayLines:
-    lines = overlays.lines_of_grazing(view)
-    look = {"label": text_of(overlays.grazing_label(view, lines)), "color": "#000000", "dashes": [5, 2], "width": 1.5}
-    return _polylines(view.plane, "grazing", look, lines)
-
-
-def _boundaries(view: MapView, size: Size) -> OverlayLines:
-    regions, left_out = simplify_regimes(view.plane.regime, size)
-    label = "regime boundary" + (", clouds of cells left out" if left_out else "")
-    look = {"label": label, "color": overlays.BOUNDARY, "dashes": [], "edge": overlays.BOUNDARY, "fixed": True}
-    return OverlayLines(_described({"boundaries": look}, []), regions.astype(np.uint8))
-
-
-def _curves(view: MapView, size: Size) -> OverlayLines:
-    curves = described_curves(overlays.requested_curves(view, "overlay 'curves'"))
-    lines = [
-        {"kind": line["kind"], "points": part}
-        for line in curves["lines"]
-        for part in _parts(view.plane, np.reshape(line["points"], (-1, 2)))
-    ]
-    low, high = map(np.array, _ends(view.plane))
-    inside = {
-        name: [mark for mark in curves[name] if np.all((low <= mark[1:]) & (mark[1:] <= high))]
-        for name in ("corners", "ends")
+    return {
+        "looks": {kind: _line_look(kind, look) for kind, look in overlay.looks.items()},
+        "lines": [{"kind": line.kind, "points": part} for line in overlay.lines for part in _parts(plane, line.points)],
+        "marks": {kind: _mark_look(look) for kind, look in overlay.marks.items()},
+        "corners": visible(overlay.corners),
+        "ends": visible(overlay.ends),
     }
-    return OverlayLines(curves | inside | {"lines": lines})
 
 
-def _polylines(plane: Plane, kind: str, style: Mapping[str, Any], lines: Iterable[Array]) -> OverlayLines:
-    """Return an overlay of lines that all have one kind and style; its legend has no switch for the kind."""
-    parts = [{"kind": kind, "points": part} for line in lines for part in _parts(plane, line)]
-    return OverlayLines(_described({kind: {**style, "fixed": True}}, parts))
+def _line_look(kind: str, look: LineLook) -> dict[str, Any]:
+    """Return the look of lines; lines whose kind users do not choose among CURVES have no switch in the legend."""
+    described: dict[str, Any] = {"label": text_of(look.label), "color": look.color, "dashes": [*look.dashes]}
+    return described | ({} if look.edge else {"edge": look.color}) | ({} if kind in CURVES else {"fixed": True})
 
 
-def _described(looks: Mapping[str, Any], lines: list[dict[str, Any]]) -> dict[str, Any]:
-    return {"looks": looks, "lines": lines, "marks": {}, "corners": [], "ends": []}
+def _mark_look(look: MarkLook) -> dict[str, Any]:
+    """Return the name of a mark and the outline of its marker, in units of the marker's size."""
+    marker = MarkerStyle(look.marker)
+    shape = marker.get_path().transformed(marker.get_transform()).to_polygons()
+    return {"label": look.label, "shape": [np.asarray(part).ravel().round(3).tolist() for part in shape]}
 
 
 def _ends(plane: Plane) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -124,10 +99,3 @@ def _parts(plane: Plane, line: Array) -> list[list[float]]:
         part = line[begin : end + 1]
         flat.append(np.column_stack([np.round(part[:, k], decimals[k]) for k in (0, 1)]).ravel().tolist())
     return flat
-
-
-_OVERLAYS: dict[str, Callable[[MapView, Size], OverlayLines]] = {
-    "grazing": _grazing,
-    "boundaries": _boundaries,
-    "curves": _curves,
-}

@@ -3,31 +3,27 @@
 A code stands for a colour, or for the colorbar by which the page colours the cell's number.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import Colormap, to_hex
-from matplotlib.markers import MarkerStyle
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.formatting import mathtext_to_unicode
-from atlas.orbits.curves.table import Curve
 from atlas.query.extremes import numbers_of_cells
 from atlas.query.plane import Plane
-from atlas.render import style, text
+from atlas.render import looks, text
 from atlas.render.kinds import BASINS, KIND_TABLE, LABELS, LOGARITHM, MAPS, NUMBER, SCALAR
-from atlas.render.layers import CellStyle, Colors, LegendEntry, MapLayers, MapView, ScalarLayer
+from atlas.render.layers import MARKED, CellStyle, HatchLayer, MapLayers, MapView, ScalarLayer
 from atlas.render.layout import STANDARD
-from atlas.render.maps import with_legend_notes
-from atlas.render.painters import PAINTERS
-from atlas.render.raster import MARKED
+from atlas.render.looks import LegendEntry
+from atlas.render.painters import layers_of
 from atlas.render.request import PictureRequest
-from workers.results import NO_IMPACT
+from workers.results import PENDING
 
 
 @dataclass(frozen=True)
@@ -53,10 +49,9 @@ def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
 
     ``ds`` is the dataset of the whole atlas, with its attributes.
     """
-    stored_kinds = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
-    kinds = [
-        name for name in stored_kinds if name in PAINTERS and not (name == LABELS and BASINS in stored_kinds)
-    ]  # these labels are of initial states
+    kinds = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
+    if {BASINS, LABELS} <= {*kinds}:
+        kinds.remove(LABELS)  # these labels are of initial states
     for name in (*kinds, *(f"{NUMBER}{variable}" for variable in numbers_of_cells(seen))):
         with suppress(InputError):  # this machine has no such map
             yield coded_map(ds, seen, name)
@@ -85,40 +80,8 @@ def text_of(label: str) -> str:
     return " ".join(unicode_text.split())
 
 
-def described_curves(curves: Sequence[Curve]) -> dict[str, Any]:
-    """Return stored curves as plain JSON for a web page: lines, ends, and points of codimension two, with their styles.
-
-    Only the parts of a curve where its orbit is otherwise stable are included.
-    """
-    corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
-    kinds = {curve.kind for curve in curves}
-    return {
-        "looks": {kind: _line_look(look) for kind, look in style.EVENT_STYLES.items() if kind in kinds},
-        "lines": [
-            {"kind": curve.kind, "orbit": curve.label, "points": line.ravel().tolist()}
-            for curve in curves
-            for line in curve.stable_lines
-        ],
-        "marks": {kind: _mark_look(kind) for kind, _, _ in corners},
-        "corners": [list(corner) for corner in corners],
-        "ends": [[curve.kind, *at.tolist()] for curve in curves for at in curve.loose_ends],
-    }
-
-
-def _line_look(look: style.EventStyle) -> dict[str, Any]:
-    return {"label": look.label, "color": look.color, "dashes": [] if look.dashes == "solid" else [*look.dashes[1]]}
-
-
-def _mark_look(kind: str) -> dict[str, Any]:
-    """Return the name of a point of codimension two and the outline of its marker, in units of the marker's size."""
-    look = style.corner_look(kind, 1.0)
-    marker = MarkerStyle(look["marker"])
-    shape = marker.get_path().transformed(marker.get_transform()).to_polygons()
-    return {"label": look["label"], "shape": [np.asarray(part).ravel().round(3).tolist() for part in shape]}
-
-
 def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> CodedMap:
-    layers = with_legend_notes(PAINTERS[view.kind.name](view), view.ds)
+    layers = layers_of(view)
     textures, patterns = _textures(layers)
     outlined = np.zeros(layers.codes.shape, np.int64)
     for texture in layers.textures:
@@ -157,7 +120,7 @@ def _shown(layers: MapLayers, style: CellStyle) -> dict[str, Any]:
     if style.by_number and layers.scalar is not None:
         if layers.scalar.bar:
             return {"byNumber": True}
-        return {"color": _hex(layers.scalar.colors(np.array(-np.inf)))}  # the colour below the lower limit
+        return {"color": layers.scalar.scale.hex(-np.inf)}  # the colour below the lower limit
     return {"color": style.color} | ({"shaded": True} if layers.shade is not None and style.regime is None else {})
 
 
@@ -173,26 +136,16 @@ def _shade(layers: MapLayers, variable: str) -> dict[str, Any] | None:
     }
 
 
-def _hex(color: Colors) -> str:
-    return "#" + bytes(color[:3]).hex()
-
-
 def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     """Return the hatch of each cell (y, x) as a number, and the list of hatches.
 
     0 is no hatch; k is entry k - 1 of the list, which gives pattern and colour.
     """
     numbers, patterns = np.zeros(layers.codes.shape, np.int64), []
-    regimes = [code for code in style.HATCH if code != NO_IMPACT]  # hatched where colours hide
-    textures = [
-        (layers.as_regime(code), style.HATCH[code], style.HATCH_INK.get(code, style.TEXTURE)) for code in regimes
-    ]
-    for cells, hatch, ink in [
-        *textures,
-        *((texture.cells, texture.hatch, texture.hatch_color) for texture in layers.textures),
-    ]:
+    pending = HatchLayer(layers.as_regime(PENDING), looks.HATCH[PENDING], looks.HATCH_INK[PENDING])
+    for cells, hatch, ink, *_ in [pending, *layers.textures]:
         if cells.any():
-            patterns.append({"hatch": hatch[0], "ink": to_hex(ink)})
+            patterns.append({"hatch": hatch[0], "ink": ink})
             numbers[cells] = len(patterns)
     return numbers, patterns
 
@@ -204,26 +157,21 @@ def _bar(bar: ScalarLayer, stored: NDArray[Any], variable: str) -> dict[str, Any
     stored     values of the variable as stored, in which an exact zero may have its own position on a logarithmic scale
     variable   name of the variable
     """
-    above, both = bar.signs or (bar.colormap, None)
     zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
     return {
         "variable": variable,
         "label": text_of(bar.label),
-        "scale": bar.form,
+        "scale": bar.scale.form,
         "ends": list(bar.ends),
-        "colors": _table(above),
-        "both": both and _table(both),
+        "colors": bar.scale.above.tobytes().hex(),
+        "both": None if bar.scale.both is None else bar.scale.both.tobytes().hex(),
         "zero": float(zeros[0]) if zeros.size else 0.0,  # position of an exact 0 on a log scale
     }
 
 
-def _table(colormap: Colormap) -> str:
-    return np.asarray(colormap(np.arange(colormap.N), bytes=True))[:, :3].tobytes().hex()
-
-
 def _entry(entry: LegendEntry) -> dict[str, Any]:
     """Return a legend entry as plain JSON."""
-    described = {"label": text_of(entry.label), "color": to_hex(entry.color)}
+    described = {"label": text_of(entry.label), "color": entry.color}
     if entry.min_brightness < 1.0:
         return described | {"dark": entry.min_brightness}
-    return described | ({"hatch": entry.hatch[0], "ink": to_hex(entry.hatch_color)} if entry.hatch else {})
+    return described | ({"hatch": entry.hatch[0], "ink": entry.hatch_color} if entry.hatch else {})

@@ -181,7 +181,7 @@ def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
     request = replace(
         request, overlays=lines, against=None if against is None else select_window(against, request.window)
     )
-    from atlas.render.painters import draw  # imports matplotlib
+    from atlas.render.maps import draw  # imports matplotlib
 
     with count_chunk_reads() as reads:
         drawn = draw(kind, part, request)

@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from atlas.query.plane import Plane
+from atlas.render.layers import Class
+from atlas.render.looks import ink_on
+
 Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
@@ -23,37 +27,38 @@ Dashes start again with each part of a line, so parts must be long. Lines that c
 """
 
 
-class LabelPlacement(NamedTuple):
-    """The position of a label on a map.
+class PlacedName(NamedTuple):
+    """A name on a map: the position (x, y) of its centre, its text, angle in degrees, and colour."""
 
-    number  index of the label among the given labels
-    cell    (row, column) of the cell under the label's centre
-    angle   angle in degrees
-    """
-
-    number: int
-    cell: tuple[int, int]
+    x: float
+    y: float
+    text: str
     angle: float
+    color: str
 
 
-def places(named: Sequence[tuple[Cells, str]], step: Array, type_size: float) -> Iterator[LabelPlacement]:
-    """Yield a position for each label that fits into its region of a map.
+def place_names(
+    named: Sequence[Class], plane: Plane, size: tuple[float, float], type_size: float
+) -> Iterator[PlacedName]:
+    """Yield the names of classes of cells that fit into their regions of a map, each in up to two largest regions.
 
-    named      cells (y, x) that a label names, and the label
-    step       height and width of a cell
-    type_size  type size of the labels
-
-    A label may be placed twice, in the two largest connected regions of its cells.
+    named      classes of cells (y, x) with their colour and name
+    plane      plane of the map
+    size       width and height of the map
+    type_size  type size of the names, in the unit of ``size``
     """
-    for k, (cells, name) in enumerate(named):
-        regions, _ = ndimage.label(cells)
+    (x, columns), (y, rows) = plane.x.even(), plane.y.even()
+    step, even_index = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
+    for cells, name, under in named:
+        regions, _ = ndimage.label(cells[even_index])
         areas = np.bincount(regions.ravel())[1:] * step.prod()
         boxes, half = ndimage.find_objects(regions), (0.29 * type_size * len(name), 0.62 * type_size)
         for number in np.argsort(-areas, kind="stable")[:_REGIONS]:
-            region = regions[boxes[number]] == number + 1
+            box, region = boxes[number], regions[boxes[number]] == number + 1
             spot = label_spot(region, step, half) if areas[number] >= 4.0 * half[0] * half[1] else None
             if spot is not None:
-                yield LabelPlacement(k, (spot[0] + boxes[number][0].start, spot[1] + boxes[number][1].start), spot[2])
+                row, column = spot[0] + box[0].start, spot[1] + box[1].start
+                yield PlacedName(float(x.values[column]), float(y.values[row]), name, spot[2], ink_on(under))
 
 
 def label_spot(

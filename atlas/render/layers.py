@@ -1,35 +1,37 @@
-"""A map as data, before colours are applied: a style for each cell, and layers of numbers, hatches, points and labels.
+"""A map as plain data: a style for each cell, layers of numbers, hatches and points, labels, legend, and overlays.
 
-Colours are applied last, so that a matplotlib figure and a web page can be made from the same layers.
+Figures of Matplotlib and web pages are drawn from the same layers and overlays.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import Colormap, LogNorm, Normalize, TwoSlopeNorm
-from matplotlib.patches import Patch
-from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from atlas.query.plane import Cells, Plane
-from atlas.render import style
+from atlas.query.resample import read_view
 from atlas.render.kinds import PictureKind
-from atlas.render.layout import FigureLayout
+from atlas.render.looks import HATCH, HATCH_INK, LegendEntry, LineLook, MarkLook, ink_on, rgb
 from atlas.render.request import PictureRequest
+from atlas.render.scales import Scale
 from atlas.store.schema import REGIME_COLORS
-from workers.results import NO_IMPACT, PENDING, REGIME, REGIMES
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIMES, UNDETERMINED
+
+if TYPE_CHECKING:
+    from atlas.render.layout import FigureLayout
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 Class: TypeAlias = tuple[Cells, str, str]
 """A class of cells: mask (y, x), colour and name."""
 
-LINEAR, LOG, TWO_SIDED = "linear", "log", "two-sided"
-_FORMS = {Normalize: LINEAR, LogNorm: LOG, TwoSlopeNorm: TWO_SIDED}
-"""Names of the norms, for web pages that apply the norms themselves."""
+COVERED = tuple(code for code in HATCH if code not in (PENDING, NO_IMPACT))
+"""Regimes with a hatch over their colour; the hatch of pending cells lies below them."""
+MARKED = (UNDETERMINED, INVALID, FAILED)
+"""Regimes whose cells are marked where they are too small to be seen."""
 
 
 @dataclass(frozen=True)
@@ -48,45 +50,20 @@ class MapView:
     request: PictureRequest
 
     @property
-    def page(self) -> FigureLayout:
+    def page(self) -> "FigureLayout":
         """The layout of the figure."""
         return self.request.page
 
-
-@dataclass(frozen=True)
-class LegendEntry:
-    """An entry of a legend: a colour, optionally hatched or darkened.
-
-    color           colour of the box
-    label           text of the entry
-    hatch           pattern over the colour, None for none
-    hatch_color     colour of the hatch
-    min_brightness  brightness at the dark end of a darkened entry
-    regime          code of the regime that the entry explains, None for other entries
-    """
-
-    color: ColorType
-    label: str
-    hatch: str | None = None
-    hatch_color: str = style.TEXTURE
-    min_brightness: float = 1.0
-    regime: int | None = None
-
     @classmethod
-    def from_regime(cls, code: int) -> "LegendEntry":
-        """Return the legend entry of cells that have the colour of a regime, with the regime's hatch if it has one.
+    def read(cls, kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> Self:
+        """Read the variables and regimes that a map and its overlays need, at most at the resolution of the pixels.
 
-        The dots of impact-free cells are left out, since they mark only cells that have another colour.
+        Raise InputError if the atlas lacks one of the variables. No other function of maps reads an atlas.
         """
-        hatch = None if code == NO_IMPACT else style.HATCH.get(code)
-        ink = style.HATCH_INK.get(code, style.TEXTURE)
-        return cls(REGIME_COLORS[code], REGIME.meaning(code).text, hatch, ink, regime=code)
-
-    def to_artist(self) -> Patch:
-        """Return the entry as a matplotlib artist."""
-        if self.min_brightness < 1.0:
-            return style.GradientPatch(self.color, self.min_brightness, self.label)
-        return style.swatch(self.color, self.label, self.hatch, self.hatch_color)
+        names = [*kind.variables] if request.variable is None else [request.variable]
+        kind.require(ds, names)
+        seen = read_view(ds, names, pixels=request.pixels or request.page.map_pixels)
+        return cls(kind, ds, Plane.from_dataset(seen, names), request)
 
 
 class CellStyle(NamedTuple):
@@ -113,50 +90,31 @@ class HatchLayer(NamedTuple):
     entry: LegendEntry | None = None
 
     @classmethod
-    def on_color(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "HatchLayer":
+    def on_color(cls, color: str, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "HatchLayer":
         """Return a hatch over ``cells``, in an ink that is visible on ``color``, with its legend entry ``label``."""
-        ink = style.ink_on(color)
+        ink = ink_on(color)
         return cls(cells, hatch, ink, outlined, LegendEntry(color, label, hatch, ink))
 
 
 @dataclass(frozen=True, eq=False)
 class ScalarLayer:
-    """Numbers of cells (y, x), NaN for cells without a number, with a colormap and a norm.
+    """Numbers of cells (y, x), NaN for cells without a number, with their colour scale.
 
-    colormap  colours of the numbers
-    norm      placement of the numbers on the colormap
-    values    (y, x) the numbers
-    label     label of the colorbar
-    signs     colormaps for positive numbers and for both signs, if zero may lie inside the limits; ``colormap`` is the
-              first, or a part of the second
-    bar       True if the layer has a colorbar
+    scale   colours of the numbers
+    values  (y, x) the numbers
+    label   label of the colorbar
+    bar     True if the layer has a colorbar
     """
 
-    colormap: Colormap
-    norm: Normalize
+    scale: Scale
     values: Array
     label: str
-    signs: tuple[Colormap, Colormap] | None = None
     bar: bool = True
-
-    @property
-    def form(self) -> str | None:
-        """The name of the norm by which a web page knows it; None if it has no name."""
-        return _FORMS.get(type(self.norm))
 
     @property
     def ends(self) -> tuple[float, float]:
         """The lower and the upper colour limit."""
-        return float(self.norm.vmin or 0.0), float(self.norm.vmax or 0.0)
-
-    def colors(self, values: Array) -> Colors:
-        """Return the colours (..., 4), in bytes, of values.
-
-        On a logarithmic scale zero, which has no logarithm, gets the colour of the lower limit.
-        """
-        least = self.ends[0]
-        placed = self.norm(np.where(np.isnan(values), least, np.maximum(values, least)))
-        return np.asarray(self.colormap(placed, bytes=True))
+        return self.scale.ends
 
 
 class ShadingLayer(NamedTuple):
@@ -179,10 +137,43 @@ class ShadingLayer(NamedTuple):
 
 
 class PointLayer(NamedTuple):
-    """Points (n, 2) over a map; ``look`` gives their marker, size and colours as arguments of ``style.mark``."""
+    """Points (n, 2) over a map, and how they are drawn."""
 
     points: Array
-    look: tuple[str, float, str, str, float]
+    look: MarkLook
+
+
+class Line(NamedTuple):
+    """A line of an overlay: its kind, and its points (N, 2)."""
+
+    kind: str
+    points: Array
+
+
+Spot: TypeAlias = tuple[str, float, float]
+"""A marked point of an overlay: its kind, x and y."""
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """Lines and marks over a map.
+
+    looks    how the kinds of lines are drawn, in the order of the legend
+    lines    the lines; lines outside the plane are left out when they are drawn
+    marks    how the kinds of marked points are drawn, in the order of the legend
+    corners  the marked points
+    ends     ends of lines, with the kind of the line
+    regions  (y, x) numbers of cells; the borders between different numbers are drawn as the only kind of ``looks``
+    none     note in the legend if nothing of the overlay is visible
+    """
+
+    looks: Mapping[str, LineLook] = field(default_factory=dict)
+    lines: Sequence[Line] = ()
+    marks: Mapping[str, MarkLook] = field(default_factory=dict)
+    corners: Sequence[Spot] = ()
+    ends: Sequence[Spot] = ()
+    regions: NDArray[np.int16] | None = None
+    none: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +187,7 @@ class MapLayers:
     textures           hatch layers
     shade              darkening of the colours; None if there is none
     points             point layers
-    point_entry        legend entry of the points: label, and arguments of ``style.mark``
+    point_entry        legend entry of the points; None without points
     side_legend_title  title of a legend to the right of the map; None for a legend below
     names              masks (y, x) of cells with a label and the colour under it; a label is drawn where it fits
     """
@@ -208,7 +199,7 @@ class MapLayers:
     textures: Sequence[HatchLayer] = ()
     shade: ShadingLayer | None = None
     points: Sequence[PointLayer] = ()
-    point_entry: tuple[str, tuple[str, float, str, str, float]] | None = None
+    point_entry: MarkLook | None = None
     side_legend_title: str | None = None
     names: Sequence[Class] = ()
 
@@ -238,6 +229,7 @@ def build_layers(
     scalar: ScalarLayer | None = None,
     numbered: tuple[NDArray[np.int64], Sequence[str]] | None = None,
     legend: Sequence[LegendEntry] = (),
+    textures: Sequence[HatchLayer] = (),
     **others: Any,
 ) -> MapLayers:
     """Return the layers of a map of cells (y, x): classes cover numbers, and numbers cover numbered cells.
@@ -247,6 +239,7 @@ def build_layers(
     scalar    numbers that are coloured by a colormap
     numbered  index (y, x) of each cell's colour, -1 for none, and the list of colours
     legend    entries before those of the classes
+    textures  hatches over those of the regimes
     others    further fields of ``MapLayers``
     """
     number, colors = (np.full(regime.shape, -1), ()) if numbered is None else numbered
@@ -259,14 +252,16 @@ def build_layers(
             codes[cells] = len(looks)
             looks.append(CellStyle(color))
             entries.append(LegendEntry(color, name))
-    rest = codes < 0
+    rest, hatches = codes < 0, list[HatchLayer]()
     for entry in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending comes last in the legend
         cells = rest & (regime == entry.code)
         codes[cells] = len(looks)
         looks.append(CellStyle(REGIME_COLORS[entry.code], regime=entry.code))
         entries += [LegendEntry.from_regime(entry.code)] if cells.any() else []
+        if entry.code in COVERED and cells.any():
+            hatches.append(HatchLayer(cells, HATCH[entry.code], HATCH_INK[entry.code]))
     codes[codes < 0] = len(looks) - 1
-    return MapLayers(codes, looks, entries, scalar, **others)
+    return MapLayers(codes, looks, entries, scalar, [*hatches, *textures], **others)
 
 
 def paint(layers: MapLayers) -> Colors:
@@ -274,11 +269,11 @@ def paint(layers: MapLayers) -> Colors:
 
     Cells that are not solved yet (pending) are transparent, to show the hatch below.
     """
-    table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.styles]
+    table = [(*rgb(look.color), 0 if look.regime == PENDING else 255) for look in layers.styles]
     rgba = np.array(table, np.uint8)[layers.codes]
     if layers.scalar is not None:
         cells = layers.cells_by_number
-        rgba[cells] = layers.scalar.colors(layers.scalar.values[cells])
+        rgba[cells, :3] = layers.scalar.scale.colors(layers.scalar.values[cells])
     if layers.shade is not None:
         brightness = layers.shade.brightness
         shaded_mask = ~np.isnan(brightness)

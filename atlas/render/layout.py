@@ -13,7 +13,6 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib import style as mpl_style
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -22,8 +21,9 @@ from matplotlib.transforms import ScaledTranslation
 
 from atlas.argument_checks import validate_flag
 from atlas.errors import InputError, brief_repr
+from atlas.render.looks import Entry
 from atlas.render.options import ScaleOptions
-from atlas.render.style import DPI, defaults, drawing_context, rc_params
+from atlas.render.style import DPI, artist, defaults, drawing_context, rc_params
 from atlas.render.text_wrap import TITLE, wrap_texts
 
 WIDTH = 7.0
@@ -179,7 +179,7 @@ class FigureLayout:
         if self.vmin is not None or self.vmax is not None:
             raise InputError(f"{reason}: there are no colour limits for vmin and vmax to set")
 
-    def legend(self, fig: Figure, entries: Sequence[Artist], side_title: str | None = None, **style: Any) -> None:
+    def legend(self, fig: Figure, entries: Sequence[Entry], side_title: str | None = None, **style: Any) -> None:
         """Draw a legend under the plots in as many columns as fit, or to the right if ``side_title`` is a title or "".
 
         Narrow figures have the legend below. There is no legend without entries, or if ``explained`` of the layout is
@@ -206,7 +206,7 @@ class FigureLayout:
                 return
             drawn_legend.remove()
 
-    def _one_legend(self, fig: Figure, entries: Sequence[Artist], aside: bool, style: dict[str, Any]) -> Legend:
+    def _one_legend(self, fig: Figure, entries: Sequence[Entry], aside: bool, style: dict[str, Any]) -> Legend:
         host: Any = fig if not self.axes else self.axes[0 if aside else -1]
         location: dict[str, Any]
         if not self.axes:
@@ -218,7 +218,7 @@ class FigureLayout:
         else:
             drop = host.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(host).dpi_scale_trans)
             location = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0}
-        legend: Legend = host.legend(handles=list(entries), **location | style)
+        legend: Legend = host.legend(handles=[artist(entry) for entry in entries], **location | style)
         return legend
 
     def _grow(self, fig: Figure, dots: float) -> None:

@@ -1,5 +1,7 @@
 """Finding the borders between regions of cells that a map can show, without small regions that would turn it black."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -70,8 +72,10 @@ def row_rectangles(cells: Cells, x: Array, y: Array) -> Array:
     return np.stack([left, low, right, low, right, high, left, high, left, low], axis=1).reshape(-1, 5, 2)
 
 
-def borders(cells: Cells, x: Array, y: Array) -> Array:
-    """Return the border of a mask of cells as segments (N, 2, 2) along cell edges, without the frame of the plane.
+def borders(cells: NDArray[Any], x: Array, y: Array) -> Array:
+    """Return the borders between cells of different values, or of a mask, as segments (N, 2, 2) along cell edges.
+
+    The frame of the plane is left out.
 
     ``x`` and ``y`` are the cell edges.
     """

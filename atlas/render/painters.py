@@ -1,14 +1,14 @@
-"""The table of painters: for each kind of picture the function that makes its layers or its figure."""
+"""The table of painters: for each kind of map the function that makes its layers, as plain data."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
 
 import xarray as xr
-from matplotlib.figure import Figure
 
-from atlas.render import class_maps, maps, scalar_maps, sweep
-from atlas.render.kinds import PictureKind
-from atlas.render.layers import MapLayers
-from atlas.render.request import PictureRequest
+from atlas.render import class_maps, scalar_maps, text
+from atlas.render.layers import MapLayers, MapView
+from workers.results import ATTRACTOR, PENDING
 
 PAINTERS: Mapping[str, Callable[..., MapLayers]] = {
     "exponent": scalar_maps.exponent, "period": class_maps.period, "impacts": class_maps.motions,
@@ -17,19 +17,20 @@ PAINTERS: Mapping[str, Callable[..., MapLayers]] = {
 }  # fmt: skip
 """For each kind of map, the function that returns the layers of the map."""
 
-FIGURES: Mapping[str, Callable[[xr.Dataset, PictureRequest], Figure]] = {
-    "coexistence": sweep.figure_of_attractors, "sweep": sweep.figure,
-    "spectrum": sweep.figure_of_all, "hysteresis": sweep.figure_of_two,
-}  # fmt: skip
-"""For each kind of picture that is no map, the function that returns the figure."""
+
+def layers_of(view: MapView, **options: Any) -> MapLayers:
+    """Return the layers of a map, whose legend names regimes in the words of the atlas's system."""
+    return with_legend_notes(PAINTERS[view.kind.name](view, **options), view.ds)
 
 
-def draw(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return the figure of a kind of picture, for a map with its overlays.
+def with_legend_notes(layers: MapLayers, ds: xr.Dataset) -> MapLayers:
+    """Return the layers of a map with a legend that names regimes in the words of the atlas's system.
 
-    Raise InputError if the atlas lacks the kind's variables.
+    If the atlas shows, say, the third attractor of each cell, the legend says of cells without a result that they may
+    have fewer attractors.
     """
-    if kind.name in FIGURES:
-        return FIGURES[kind.name](ds, request)
-    view = maps.read(kind, ds, request)
-    return maps.draw_layers(view, PAINTERS[kind.name](view))
+    labels = {meaning.code: meaning.text for meaning in text.regime(ds).codes}
+    if ds.attrs.get(ATTRACTOR, 0):
+        labels[PENDING] = f"not more than {ds.attrs[ATTRACTOR]}"
+    legend = [entry if entry.regime is None else replace(entry, label=labels[entry.regime]) for entry in layers.legend]
+    return replace(layers, legend=legend)

@@ -4,10 +4,9 @@ Section values are the values of the gap coordinate at t = k T, the start of eac
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
@@ -79,7 +78,7 @@ class PlottedValues:
         """Return the label of the values' axis."""
         return shown_label(self.observable, stored_system(ds.attrs))
 
-    def notes(self, ds: "xr.Dataset") -> list[Any]:
+    def notes(self, ds: "xr.Dataset") -> list[str]:
         """Return legend entries that count the orbits of which only the first values are stored."""
         if self.observable is None or self.observable.number not in ds:
             return []
@@ -88,7 +87,7 @@ class PlottedValues:
         more, endless = (int(np.count_nonzero(orbits & mask)) for mask in (number > n_stored, number < 0))
         says = [f"{plural(more, 'orbit')} with more than\n{n_stored} values: the first of them"] if more else []
         says += [f"{plural(endless, 'orbit')} with endless values:\nat most the first {n_stored}"] if endless else []
-        return [Line2D([], [], linestyle="", label=label) for label in says]
+        return says
 
 
 def atlas_observables(ds: "xr.Dataset") -> tuple[Observable, ...]:

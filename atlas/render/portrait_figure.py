@@ -6,14 +6,14 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from atlas.cell import portrait_data as selection
 from atlas.cell.trajectory import CellTrajectory, describe
-from atlas.render import style, text
+from atlas.render import looks, style, text
 from atlas.render.layout import STANDARD, FigureLayout
+from atlas.render.looks import Entry, LineLook, MarkLook
 from atlas.render.plotted_values import shown_label
 from atlas.render.sweep import color_of
 from workers.model.observables import Observable, observables_of
@@ -25,7 +25,7 @@ LINE, STOP = "#3a6ea5", "#6f6f6f"
 """Colours of the motion and of the stops."""
 IMPACTS = {1.0: ("^", "#aa00ff", "upper"), -1.0: ("v", "#591b4a", "lower")}
 """Marker, colour and name of impacts at the upper and at the lower stop; the colours are used for nothing else."""
-_STOP: dict[str, Any] = {"color": STOP, "linewidth": 0.8, "linestyle": (0, (4, 2))}
+_STOP = LineLook("stop", STOP, (4, 2), 0.8)
 _IN_A_COLUMN = 7
 """Maximum number of exponents written in one column beside their averages."""
 
@@ -134,7 +134,7 @@ def _history(ax: Axes, orbit: CellTrajectory, coordinate: PortraitCoordinate) ->
     values, _ = coordinate.project(states)
     ax.plot(times / orbit.unit, values, color=LINE, linewidth=0.9)
     for stop in coordinate.stops:
-        ax.axhline(stop, **_STOP)
+        ax.axhline(stop, **style.line(_STOP))
     for side in IMPACTS:
         at = selection.impact_times(orbit, side, count)
         _mark_impacts(ax, side, at / orbit.unit, np.interp(at, times, values))
@@ -173,9 +173,9 @@ def _phase_plane(
     closed = bool(orbit.cell["period"])
     ax.plot(across, up, color=LINE, linewidth=0.9 if closed else 0.25, alpha=1.0 if closed else 0.75)
     for stop in coordinate.stops:
-        ax.axvline(stop, **_STOP)
+        ax.axvline(stop, **style.line(_STOP))
     for stop in other.stops if other else ():
-        ax.axhline(stop, **_STOP)
+        ax.axhline(stop, **style.line(_STOP))
     ax.set_xlabel(coordinate.label)
     ax.set_ylabel(other.label if other else coordinate.rate, labelpad=1.0)
 
@@ -184,7 +184,7 @@ def _section(ax: Axes, orbit: CellTrajectory) -> None:
     """Draw the Poincare section: the gap coordinate and its velocity at t = k T, or at an event of a limit cycle."""
     projection = _shown(orbit, orbit.gap_row)
     x, y = projection.project(orbit.section)
-    few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
+    few, ink = selection.is_few(x, y), looks.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
         # A single point has no extent: the orbit gives the scale.
@@ -203,7 +203,7 @@ def _return_map(ax: Axes, orbit: CellTrajectory, observable: Observable) -> None
     values = values[np.isfinite(values)]
     if int(orbit.cell["period"]) and int(orbit.cell[observable.number]) == len(values):  # the whole turn is known
         values = np.append(values, values[:1])
-    few, ink = selection.is_few(values[:-1], values[1:]), style.INK[int(orbit.cell[REGIME.name])]
+    few, ink = selection.is_few(values[:-1], values[1:]), looks.INK[int(orbit.cell[REGIME.name])]
     ax.plot(values[:-1], values[1:], "o" if few else ".", color=ink, markersize=4.0 if few else 1.5, markeredgewidth=0)
     ax.set_xlabel(shown_label(observable, orbit.system).replace("\n", " "))
     ax.set_ylabel("the next one", labelpad=1.0)
@@ -252,10 +252,10 @@ def _write_values(ax: Axes, orbit: CellTrajectory, columns: int) -> None:
         used[column] += 1 + line.count("\n")
 
 
-def _legend(orbit: CellTrajectory) -> list[Line2D]:
-    entries = [Line2D([], [], color=LINE, linewidth=1.2, label="motion"), Line2D([], [], label="stop", **_STOP)]
-    for side, (marker, ink, name) in IMPACTS.items():
-        if np.any(orbit.impacts[:, 1] == side):
-            look = style.mark(marker, 4.5, ink, ink, 0.0)
-            entries.append(Line2D([], [], label=f"impact on the {name} stop", **look))
-    return entries
+def _legend(orbit: CellTrajectory) -> list[Entry]:
+    marks = [
+        MarkLook(f"impact on the {name} stop", marker, 4.5, ink, ink, 0.0)
+        for side, (marker, ink, name) in IMPACTS.items()
+        if np.any(orbit.impacts[:, 1] == side)
+    ]
+    return [LineLook("motion", LINE, width=1.2), _STOP, *marks]

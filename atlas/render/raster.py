@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import axis as mpl_axis
@@ -13,12 +14,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from atlas.query.plane import Cells, Plane, PlaneAxis
-from atlas.render import style, text
-from atlas.render.layers import MapLayers, paint
+from atlas.render import looks, style, text
+from atlas.render.layers import MARKED, MapLayers, paint
 from atlas.render.layout import FigureLayout
 from atlas.render.outlines import borders, row_rectangles, small_regions
 from atlas.store.schema import REGIME_COLORS
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
+from workers.results import PENDING
 
 VISIBLE = 2.0
 """Size in points below which a single cell is invisible."""
@@ -27,34 +28,26 @@ MAX_MARKS = 300
 
 More cells are visible as a cloud anyway.
 """
-_WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
-MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
 def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> set[int]:
     """Draw the cells of a map from edge to edge, as pixels also in vector files.
 
     Return the codes of the regimes whose tiny cells were enlarged by marks. Cells of equal size are drawn as an image,
-    others as quadrilaterals. Colours are never blended between cells. A cell in the colour of its regime has the
-    regime's hatch. Cells without a result that would be invisible get a mark of visible size.
+    others as quadrilaterals. Colours are never blended between cells. Cells without a result that would be invisible
+    get a mark of visible size.
     """
     x, y = plane.x, plane.y
     # Pending cells are transparent and show this hatch.
-    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
+    ax.patch.set(facecolor="white", edgecolor=looks.TEXTURE, hatch=looks.HATCH[PENDING], linewidth=0.0)
     if x.uniform and y.uniform:
         extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
         ax.imshow(paint(layers), origin="lower", extent=extent, aspect="auto", interpolation="nearest")
     else:
         ax.pcolormesh(x.edges, y.edges, paint(layers), rasterized=True)
     scale_axes(ax, x=x, y=y)
-    enlarged = set[int]()
-    for code in (*_WITH_TEXTURE, UNDETERMINED):
-        regime_cells = layers.as_regime(code)
-        if code in _WITH_TEXTURE:
-            hatch(ax, plane, regime_cells, style.HATCH[code], style.HATCH_INK[code])
-        if code in MARKED and _mark_small(ax, plane, regime_cells, REGIME_COLORS[code], layout.map_size):
-            enlarged.add(code)
-    return enlarged
+    size = layout.map_size
+    return {code for code in MARKED if _mark_small(ax, plane, layers.as_regime(code), REGIME_COLORS[code], size)}
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
@@ -69,7 +62,7 @@ def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[fl
     small = small_regions(cells, plane.x.edges, plane.y.edges, step, VISIBLE)
     if not 0 < len(small) <= MAX_MARKS:
         return False
-    ax.plot(*small.T, zorder=2.2, **style.mark("s", 0.9 * VISIBLE, color, "black", 0.2))
+    ax.plot(*small.T, zorder=2.2, **style.mark(looks.MarkLook("", "s", 0.9 * VISIBLE, color, "black", 0.2)))
     return True
 
 
@@ -82,9 +75,9 @@ def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> No
         ax.add_patch(PathPatch(path, fill=False, hatch=pattern, edgecolor=color, linewidth=0, rasterized=True))
 
 
-def outline(ax: Axes, plane: Plane, inside: Cells, color: str, width: float) -> None:
-    """Draw the border of a set of cells along the cells' edges, without the frame of the plane."""
-    ends = list(borders(inside, plane.x.edges, plane.y.edges))
+def outline(ax: Axes, plane: Plane, regions: NDArray[Any], color: str, width: float) -> None:
+    """Draw the borders between cells of different ``regions`` along the cells' edges, without the plane's frame."""
+    ends = list(borders(regions, plane.x.edges, plane.y.edges))
     lines = LineCollection(ends, colors=color, linewidths=width, capstyle="projecting", rasterized=True)
     ax.add_collection(lines, autolim=False)
 

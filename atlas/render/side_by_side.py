@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib import colormaps
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -18,19 +16,24 @@ from atlas.query.compare import Comparison, differences, differing_parameters
 from atlas.query.plane import Cells, Plane
 from atlas.query.read_counter import count_chunk_reads
 from atlas.query.window import axis_names, select_window
-from atlas.render import maps, scalar_maps, text
-from atlas.render.color_limits import scale_ends
+from atlas.render import colorbar, maps, scalar_maps, text
 from atlas.render.kinds import KIND_TABLE, found_axes
-from atlas.render.layers import LegendEntry, MapLayers, ScalarLayer, build_layers
+from atlas.render.layers import MapLayers, MapView, ScalarLayer, build_layers
 from atlas.render.layout import STANDARD, FigureLayout
-from atlas.render.painters import PAINTERS
+from atlas.render.looks import Entry, LegendEntry, label_of
+from atlas.render.painters import layers_of, with_legend_notes
 from atlas.render.request import PictureRequest
+from atlas.render.scales import TWO_SIDED, Scale, color_table, scale_ends
 from atlas.render.text_wrap import OWN_TITLE
 from workers.results import LARGEST, PENDING, PER_PERIOD
 
 KINDS = ("exponent", "period")
 """Kinds of maps that can be drawn side by side."""
-DIFFERENCE = colormaps["PuOr_r"]
+DIFFERENCE = color_table((
+    "#2d004b", "#542788", "#8073ac", "#b2abd2", "#d8daeb", "#f7f7f7", "#fee0b6", "#fdb863", "#e08214", "#b35806",
+    "#7f3b08",
+))  # fmt: skip
+"""Colours of differences: ColorBrewer's PuOr, reversed."""
 SAME, WITHOUT = "#ffffff", "#9a9a9a"
 """Colours of cells with the same regime in both atlases, and of cells without an exponent in one of them."""
 
@@ -61,12 +64,12 @@ def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
         if compared.has_exponents:
             label = text.in_its_unit(compared.first, rf"change of $\lambda_1$ [{PER_PERIOD}]")
             titled_maps.append((first, "difference of exponents", _difference(first, second, pending, layout, label)))
-        entries: list[Artist] = []
+        entries: list[Entry] = []
         for ax, (plane, title, layers) in zip(reversed(panels), titled_maps, strict=True):
             entries += maps.lay(ax, plane, layers, sheet_layout)
             ax.set_title(title, loc="left")
             if layers.bar is not None:
-                scalar_maps.draw_bar(drawn, [ax], layers.bar, sheet_layout, below=True)
+                colorbar.draw_bar(drawn, [ax], layers.bar, below=True)
         _label_outside(panels)
         layout.legend(drawn, entries)
     return drawn
@@ -89,30 +92,29 @@ def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: 
     changed = differing_parameters(parts)
     with count_chunk_reads() as reads, page.context():
         drawn, panels, sheet_layout = _sheet(page, len(parts), limit=3)
-        views = [maps.read(kind, ds, PictureRequest(sheet_layout)) for ds in parts]
+        views = [MapView.read(kind, ds, PictureRequest(sheet_layout)) for ds in parts]
         page.add_title(drawn, text.title_line(parts[0].drop_vars(changed)) + _coarseness(max(reads.block)))
         bars = []
         if kind.name == "exponent":
             known = np.concatenate([view.plane.known_values(LARGEST.name).ravel() for view in views])
-            norm = scalar_maps.two_sided(page, *scale_ends(known))
-            label = text.in_its_unit(parts[0], rf"$\lambda_1$ [{PER_PERIOD}]")
-            bars = [ScalarLayer(scalar_maps.EXPONENT, norm, known, label)]
-        entries: dict[str, Artist] = {}
+            scale = scalar_maps.exponent_scale(*page.ends(*scale_ends(known)))
+            bars = [ScalarLayer(scale, known, text.in_its_unit(parts[0], rf"$\lambda_1$ [{PER_PERIOD}]"))]
+        entries: dict[str, Entry] = {}
         # number of letters in a line as wide as a map
         letters = max(4, int(sheet_layout.map_size[0] / (0.6 * page.font)))
         for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
             title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
-            layers = maps.with_legend_notes(PAINTERS[kind.name](view, *(bar.norm for bar in bars)), view.ds)
+            layers = layers_of(view, **({"ends": bars[0].ends} if bars else {}))
             for entry in maps.lay(ax, view.plane, layers, sheet_layout):
-                entries.setdefault(str(entry.get_label()), entry)
+                entries.setdefault(label_of(entry), entry)
         _label_outside(panels)
         # The axes are shared, so these limits apply to all.
         planes = [view.plane for view in views]
         panels[0].set_xlim(min(plane.x.edges[0] for plane in planes), max(plane.x.edges[-1] for plane in planes))
         panels[0].set_ylim(min(plane.y.edges[0] for plane in planes), max(plane.y.edges[-1] for plane in planes))
         for bar in bars:
-            scalar_maps.draw_bar(drawn, panels, bar, page, below=not page.has_side_legend)
+            colorbar.draw_bar(drawn, panels, bar, below=not page.has_side_legend)
         page.legend(drawn, list(entries.values()))
     return drawn
 
@@ -206,11 +208,11 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
     # The limits are symmetric: one given limit decides the other.
     limits = [end for end in (layout.vmax, layout.vmin) if end is not None]
     end = abs(limits[0]) if limits else most or 1.0
-    norm = scalar_maps.two_sided(layout, -end, end)
+    scale = Scale(TWO_SIDED, scalar_maps.exponent_scale(*layout.ends(-end, end)).ends, DIFFERENCE)
     change = np.where(pending, np.nan, change)
     unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
     layers = build_layers(
-        np.where(pending, np.int8(PENDING), first.regime), [unknown], ScalarLayer(DIFFERENCE, norm, change, label)
+        np.where(pending, np.int8(PENDING), first.regime), [unknown], ScalarLayer(scale, change, label)
     )
     return replace(layers, legend=[entry for entry in layers.legend if entry.color == WITHOUT])
 
@@ -222,7 +224,7 @@ def _changes(first: Plane, second: Plane, pending: Cells, ds: xr.Dataset) -> Map
     whose words the regimes are named.
     """
     same = (first.regime == second.regime) & ~pending, SAME, "same regime"
-    layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), second.regime), [same]), ds)
+    layers = with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), second.regime), [same]), ds)
     same_entry = LegendEntry(*same[1:])
     others = [entry for entry in layers.legend if entry != same_entry]
     named = [e if e.regime == PENDING else replace(e, label=f"{e.label} instead") for e in others]

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
@@ -21,9 +19,10 @@ from atlas.query.attractors import select_dominant
 from atlas.query.compare import check_same_axis
 from atlas.query.plane import CoordinateInfo, PlaneAxis, sort_axes
 from atlas.query.window import spec_of_axis
-from atlas.render import class_maps, raster, style, text
+from atlas.render import class_maps, looks, raster, style, text
 from atlas.render.kinds import KIND_TABLE
 from atlas.render.layout import STANDARD, FigureLayout
+from atlas.render.looks import Entry, LineLook, MarkLook
 from atlas.render.outlines import interleave_exponents
 from atlas.render.plotted_values import PlottedValues, shown_label
 from atlas.render.request import PictureRequest
@@ -45,11 +44,11 @@ INTERVAL = ("share_low", "share_high")
 """Names of the variables with the limits of the 95 % interval of a share; a legend gives its largest width."""
 _POINT = 2.0
 """Minimum diameter of a point, in points of the page: still visible on white."""
-INK = "#1a1a1a"
-"""Colour of branches."""
-DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
-"""Line styles of the stable (True) and the unstable (False) parts of a branch."""
-_WIDTHS = {True: 1.1, False: 0.6}
+ORBITS = {
+    True: LineLook("stable orbit", "#1a1a1a"),
+    False: LineLook("unstable orbit", "#1a1a1a", (3.2, 1.4), 0.6),
+}
+"""Looks of the stable (True) and the unstable (False) parts of a branch."""
 _MARKER = 3.6
 """Size of an event's marker in points."""
 _HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
@@ -75,12 +74,12 @@ def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """
     KIND_TABLE["spectrum"].require(ds, [SPECTRUM.name])
     numbers = range(ds[SPECTRUM.name].shape[-1])
-    entries = [Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$") for i in numbers]
+    entries = [LineLook(rf"$\lambda_{{{i + 1}}}$", color_of(i), width=1.5) for i in numbers]
     return _of_one(ds, request, {SPECTRUM.name: _draw_spectrum}, entries)
 
 
 def _of_one(
-    ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
+    ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Entry] = ()
 ) -> Figure:
     """Return the figure of one sweep: a bifurcation diagram above a plot of its exponents.
 
@@ -88,14 +87,11 @@ def _of_one(
     InputError if there is nothing to draw.
     """
     plotted_values = PlottedValues.resolve(request.observe, ds)
-    panels = ({} if plotted_values is None else {plotted_values.name: _panel_of_points(plotted_values)}) | dict(
-        exponents
-    )
+    panels = {**({plotted_values.name: _panel_of_points(plotted_values.name)} if plotted_values else {}), **exponents}
     if not panels:
         raise InputError("kind 'sweep' needs 'section' or 'largest', and this atlas has neither; see section_samples")
-    more = () if plotted_values is None else plotted_values.reads
     errors = names_with_values([ERROR.name], ds) if LARGEST.name in panels else []  # other atlases may lack error bars
-    read = line(ds, [*panels, *more, *errors])
+    read = line(ds, [*panels, *errors], plotted_values)
     regimes = [] if [*panels] == [SPECTRUM.name] else regime_legend(read[0][REGIME.name].values, read[0])
     notes = [] if plotted_values is None else plotted_values.notes(read[0])
     return stack(ds, read, panels, [*regimes, *entries, *notes], request, plotted_values)
@@ -114,22 +110,20 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     names = ([] if plotted_values is None else [plotted_values.name]) + names_with_values([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' needs 'section' or 'largest' in both atlases; found neither in both")
-    (first, x), (second, _) = (
-        line(ds, names if plotted_values is None else [*names, *plotted_values.reads]) for ds in atlases
-    )
+    (first, x), (second, _) = (line(ds, names, plotted_values) for ds in atlases)
 
     def panel(ax: Axes, name: str) -> None:
         # The second sweep is smaller and on top, so that both are visible if they agree.
         for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
             size = point_size(x, _FEW, request.page) * larger
-            draw_points(ax, x, _values(cells, x, name, plotted_values), color, size, zorder=zorder)
+            draw_points(ax, x, cells[name].values, color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
             ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
 
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
-    legend: list[Artist] = [_dot(color, _direction(cells, x.name), size) for color, cells, size in sweeps]
+    legend: list[Entry] = [_dot(color, _direction(cells, x.name), size) for color, cells, size in sweeps]
     return stack(ds, (first, x), panels, legend, request, plotted_values)
 
 
@@ -144,23 +138,18 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
     known = branches_of(ds) if LABEL.name in ds else None
     plotted_values = PlottedValues.resolve(request.observe, ds)
     names = names_with_values([LARGEST.name], ds) if plotted_values is None else [plotted_values.name]
-    panels = {name: _panel_of_attractors(name, known, plotted_values) for name in names} | {
-        "share": _panel_of_shares(known)
-    }
+    panels = {name: _panel_of_attractors(name, known) for name in names} | {"share": _panel_of_shares(known)}
     ends = [name for name in INTERVAL if name in ds]
-    read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])])
-    regime, entries = read[0][REGIME.name].values, list[Artist]()
+    read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])], plotted_values)
+    regime, entries = read[0][REGIME.name].values, list[Entry]()
     if known is not None:
         label = read[0][LABEL.name].values
-        entries, regime = (
-            [entry.to_artist() for entry in class_maps.branch_entries(known, label, ink=True)],
-            regime[label < 0],
-        )
+        entries, regime = [*class_maps.branch_entries(known, label, ink=True)], regime[label < 0]
     entries += regime_legend(regime, read[0])
     if ends:
         low, high = (read[0][end].values for end in ends)
         reach = float(np.nanmax(high - low, initial=0.0)) / 2.0
-        entries.append(Line2D([], [], linestyle="", label=f"shares: 95 % interval\nwithin ± {reach:.2f}"))
+        entries.append(f"shares: 95 % interval\nwithin ± {reach:.2f}")
     return stack(ds, read, panels, entries, request, plotted_values)
 
 
@@ -184,12 +173,16 @@ def names_with_values(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
     return [name for name in names if all(name in atlas and atlas[name].size for atlas in atlases)]
 
 
-def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, PlaneAxis]:
-    """Return the named variables and the regimes of a sweep, sorted along its axis, and the axis.
+def line(ds: xr.Dataset, variables: Iterable[str], plotted: PlottedValues | None) -> tuple[xr.Dataset, PlaneAxis]:
+    """Return the named variables, the plotted values and the regimes of a sweep, sorted along its axis, and the axis.
 
-    Pictures of sweeps read an atlas only here.
+    The plotted values have the name of their variable. Pictures of sweeps read an atlas only here.
     """
-    read, (x,) = sort_axes(ds[[*dict.fromkeys(variables), REGIME.name]])
+    more = () if plotted is None else plotted.reads
+    read, (x,) = sort_axes(ds[[*dict.fromkeys([*variables, *more, REGIME.name])]])
+    if plotted is not None:
+        values = plotted.values(read, x)
+        read = read.assign({plotted.name: (read[plotted.name].dims[: values.ndim], values)})
     return read, x
 
 
@@ -197,7 +190,7 @@ def stack(
     ds: xr.Dataset,
     read: tuple[xr.Dataset, PlaneAxis],
     panels: Mapping[str, Panel],
-    legend: Sequence[Artist],
+    legend: Sequence[Entry],
     request: PictureRequest,
     plotted_values: PlottedValues | None = None,
 ) -> Figure:
@@ -235,14 +228,14 @@ def stack(
     return drawn
 
 
-def _panel_of_points(plotted_values: PlottedValues) -> Panel:
-    """Return the function that draws a bifurcation diagram: the gap coordinate at t = k T, or an observable."""
+def _panel_of_points(name: str) -> Panel:
+    """Return the function that draws a bifurcation diagram of the plotted values ``name``."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
-        regime, values = ds[REGIME.name].values, plotted_values.values(ds, x)
+        regime, values = ds[REGIME.name].values, ds[name].values
         for code in np.unique(regime[regime != PENDING]):
             least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
-            draw_points(ax, x, values, style.INK[int(code)], point_size(x, least, layout), cells=regime == code)
+            draw_points(ax, x, values, looks.INK[int(code)], point_size(x, least, layout), cells=regime == code)
 
     return draw
 
@@ -275,7 +268,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout)
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 
-def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: PlottedValues | None) -> Panel:
+def _panel_of_attractors(name: str, known: xr.Dataset | None) -> Panel:
     """Return the function that draws a variable of every attractor along a sweep; larger shares lie on top.
 
     The variable ``name`` is that of the plotted values, or the largest exponent. ``known`` is the table of branches.
@@ -284,10 +277,9 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, plotted_values: Pl
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             attractor = ds.isel({ATTRACTOR: k})
-            size = point_size(x, (1.0 if plotted_values is None else 0.6) * _POINT, layout)
-            values = _values(attractor, x, name, plotted_values)
+            size = point_size(x, (1.0 if name == LARGEST.name else 0.6) * _POINT, layout)
             for cells, color in _groups(attractor, known):
-                draw_points(ax, x, values, color, size, "o", cells=cells)
+                draw_points(ax, x, attractor[name].values, color, size, "o", cells=cells)
         ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
 
     return draw
@@ -327,7 +319,7 @@ def _groups(attractor: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[N
     regime = attractor[REGIME.name].values
     label = attractor[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
-        yield (regime == code) & (label < 0), style.INK[int(code)]
+        yield (regime == code) & (label < 0), looks.INK[int(code)]
     colors = np.array(class_maps.branch_colors(known, ink=True) if known is not None else [], dtype=str)
     for color in np.unique(colors[label[label >= 0]]):
         yield (label >= 0) & (colors[np.maximum(label, 0)] == color), str(color)
@@ -344,21 +336,21 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
     ax.set_ylabel(f"{label}\n{note}" if lost.any() else label)
 
 
-def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> list[Artist]:
+def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> list[Entry]:
     """Draw branches of orbits and their mirror images, with their events, and return the legend entries."""
-    lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Artist]()
-    for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
-        segments, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
+    lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Entry]()
+    for stable, usual in ORBITS.items():
+        look = usual._replace(width=usual.width * layout.scale)
+        segments = [one for holds, one in lines if holds is stable]
         if segments:
-            look = {"color": INK, "linewidth": width * layout.scale, "linestyle": dashes}
-            ax.add_collection(LineCollection(segments, zorder=4, **look))
-            entries.append(Line2D([], [], label=label, **look))
-    for kind, event in style.EVENT_STYLES.items():
+            ax.add_collection(LineCollection(segments, zorder=4, **style.line(look)))
+            entries.append(look)
+    for kind, event in looks.EVENT_STYLES.items():
         at = [point for mark, point in places if mark == kind]
         if at:
-            mark = style.mark(event.marker, _MARKER * layout.scale, event.color, "white", 0.5) | {"label": event.label}
-            ax.plot(*np.concatenate(at).T, zorder=5, **mark)
-            entries.append(Line2D([], [], **mark))
+            mark = MarkLook(event.label, event.marker, _MARKER * layout.scale, event.color, "white", 0.5)
+            ax.plot(*np.concatenate(at).T, zorder=5, **style.mark(mark))
+            entries.append(mark)
     ax.autoscale_view()
     return entries
 
@@ -392,24 +384,15 @@ def draw_points(
     ax.plot(at[mask], values[mask], marker, **look)
 
 
-def _values(ds: xr.Dataset, x: PlaneAxis, name: str, plotted_values: PlottedValues | None) -> Array:
-    """Return the values of the variable ``name`` along a sweep, or the plotted values if this is their variable."""
-    return (
-        np.asarray(ds[name].values)
-        if plotted_values is None or name != plotted_values.name
-        else plotted_values.values(ds, x)
-    )
-
-
-def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:
+def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Entry]:
     """Return legend entries for the regimes that occur among the points of a sweep."""
     regimes = text.regime(ds)
     codes = np.unique(regime[regime != PENDING]).tolist()
-    return [_dot(style.INK[code], regimes.meaning(code).text, 4.0) for code in codes]
+    return [_dot(looks.INK[code], regimes.meaning(code).text, 4.0) for code in codes]
 
 
-def _dot(color: str, label: str, size: float) -> Line2D:
-    return Line2D([], [], linestyle="", marker="o", markersize=size, color=color, label=label)
+def _dot(color: str, label: str, size: float) -> MarkLook:
+    return MarkLook(label, "o", size, color, color, 1.0)
 
 
 def _direction(ds: xr.Dataset, name: str) -> str:

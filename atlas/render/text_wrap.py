@@ -37,6 +37,10 @@ def _fit_title(fig: Figure, text: Text) -> bool:
     room = end - extent.x0
     lines = []
     for line in before.replace(",\n", ",  ").split("\n"):  # a line broken earlier may fit now
+        text.set_text(line)
+        if text.get_window_extent().width <= room:
+            lines.append(line)
+            continue
         current_line, *rest = re.split(r"(?<=,)( +)", line)
         for space, part in zip(rest[::2], rest[1::2], strict=True):
             text.set_text(f"{current_line}{space}{part}")

@@ -4,7 +4,6 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum, auto
 from typing import Any, Generic, Protocol, TypeVar
 
 from atlas.errors import NetworkError, RunError
@@ -23,36 +22,13 @@ J = TypeVar("J", bound=IndexedJob)
 R = TypeVar("R")
 
 
-class Ending(Enum):
-    """How an attempt at a job ended.
-
-    DONE         with a report
-    REFUSED      the worker must not or cannot do jobs of this run
-    UNREACHABLE  the store does not respond to the worker
-    FULL         the store has no space left
-    FAILED       with an exception, for which the job or the worker may be the reason
-    """
-
-    DONE = auto()
-    REFUSED = auto()
-    UNREACHABLE = auto()
-    FULL = auto()
-    FAILED = auto()
-
-
-_ENDING_OF_ERROR: dict[type[Exception], Ending] = {
-    WorkerRefusedError: Ending.REFUSED,
-    NetworkError: Ending.UNREACHABLE,
-    StoreFullError: Ending.FULL,
-}
-
-
 @dataclass(frozen=True)
 class AttemptOutcome(Generic[R]):
     """The outcome of an attempt at a job.
 
     worker     address of the worker; empty if unknown
-    ending     how it ended
+    error      None if it is done; the error by which the worker or the store is known to be the reason, that is
+               WorkerRefusedError, NetworkError or StoreFullError; RunError for any other exception
     report     what the job returned; None unless it is done
     seconds    duration on the worker
     reason     message of the exception; empty if the job is done
@@ -61,7 +37,7 @@ class AttemptOutcome(Generic[R]):
     """
 
     worker: str
-    ending: Ending
+    error: type[Exception] | None = None
     report: R | None = None
     seconds: float = 0.0
     reason: str = ""
@@ -118,11 +94,12 @@ def run_attempt(act: Callable[[J], R], job: J) -> AttemptOutcome[R]:
 
     worker, begin = get_worker().address, time.perf_counter()
     try:
-        return AttemptOutcome(worker, Ending.DONE, act(job), time.perf_counter() - begin)
+        return AttemptOutcome(worker, None, act(job), time.perf_counter() - begin)
     except Exception as error:
-        ending = next((ending for kind, ending in _ENDING_OF_ERROR.items() if isinstance(error, kind)), Ending.FAILED)
-        reason = _format_error(error) if ending is Ending.FAILED else str(error)
-        return AttemptOutcome(worker, ending, reason=reason, traceback=traceback.format_exc())
+        known = (WorkerRefusedError, NetworkError, StoreFullError)
+        kind: type[Exception] = next((kind for kind in known if isinstance(error, kind)), RunError)
+        reason = _format_error(error) if kind is RunError else str(error)
+        return AttemptOutcome(worker, kind, reason=reason, traceback=traceback.format_exc())
 
 
 def outcome_of_error(error: BaseException) -> AttemptOutcome[Any]:
@@ -134,13 +111,13 @@ def outcome_of_error(error: BaseException) -> AttemptOutcome[Any]:
 
     if isinstance(error, KilledWorker):
         reason = f"all of its workers have died, {error.allowed_failures + 1} of them"
-        return AttemptOutcome(error.last_worker.address, Ending.FAILED, reason=reason, is_death=True)
+        return AttemptOutcome(error.last_worker.address, RunError, reason=reason, is_death=True)
     if "deserialization of the task graph" in str(error):
         raise RunError(
             f"the scheduler cannot load this package ({type(error).__name__}); install the same impact-atlas on every "
             "host, the scheduler's too"
         )
-    return AttemptOutcome("", Ending.FAILED, reason=_format_error(error))
+    return AttemptOutcome("", RunError, reason=_format_error(error))
 
 
 def _format_error(error: BaseException) -> str:

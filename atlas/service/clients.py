@@ -1,7 +1,6 @@
 """The Dask client of a run: the given client, that of a scheduler, an active one, or that of a new local cluster."""
 
 from contextlib import ExitStack
-from functools import partial
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError, brief_repr
@@ -38,7 +37,12 @@ def start_client(client: "Client | None", count: int, options: RunOptions, stack
         link = dashboard_link(client) if options.dashboard and has_dashboard() else ""
         if link:
             options.report(Progress(stage, note=f"dashboard of the workers: {link}"))
-    stack.enter_context(performance_reported(client, options.performance_report, partial(_not_written, options)))
+    if (path := options.performance_report) is not None:
+
+        def failed(reason: str) -> None:
+            options.report(Progress("ending", note=f"performance report {path}: not written ({reason})"))
+
+        stack.enter_context(performance_reported(client, path, failed))
     return client
 
 
@@ -105,8 +109,3 @@ def check_report(client: "Client | None", options: RunOptions) -> None:
             drawable = client.run_on_scheduler(has_dashboard)
     if not drawable:
         raise InputError("performance_report: needs Bokeh on the scheduler's host: pip install bokeh")
-
-
-def _not_written(options: RunOptions, reason: str) -> None:
-    stage = "ending"
-    options.report(Progress(stage, note=f"performance report {options.performance_report}: not written ({reason})"))

@@ -175,16 +175,13 @@ def dashboard_link(client: "Client") -> str:
 
 @contextmanager
 def performance_reported(
-    client: "Client", path: str | os.PathLike[str] | None, failed: Callable[[str], None]
+    client: "Client", path: str | os.PathLike[str], failed: Callable[[str], None]
 ) -> Iterator[None]:
     """Record Dask's performance report of the block, and write it as an HTML file that needs no network.
 
-    Do nothing if ``path`` is None. If the report cannot be written at the end, the run is unaffected, and ``failed`` is
+    If the report cannot be written at the end, the run is unaffected, and ``failed`` is
     called with the reason.
     """
-    if path is None:
-        yield
-        return
     from distributed import performance_report
 
     report = performance_report(str(validate_path(path)), mode="inline")

@@ -23,12 +23,13 @@ from itertools import count
 from statistics import median
 from typing import TYPE_CHECKING, Any, Generic
 
-from atlas.errors import RunError
+from atlas.errors import NetworkError, RunError
 from atlas.formatting import byte_size, duration, plural
-from atlas.service.attempts import AttemptOutcome, Ending, J, JobAttempt, OpenJob, R, outcome_of_error, run_attempt
+from atlas.service.attempts import AttemptOutcome, J, JobAttempt, OpenJob, R, outcome_of_error, run_attempt
 from atlas.service.cluster import CLUSTER_LOST_MESSAGE, loss_reported, worker_memory, worker_threads
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
+from atlas.task.store_ref import StoreFullError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -335,7 +336,7 @@ class Dispatcher(Generic[J, R]):
         self._slow.pop(outcome.worker, None)  # it does not hang
         if open_job not in self._flying:
             return None  # another attempt was faster
-        if outcome.ending is Ending.DONE:
+        if outcome.error is None:
             self._flying.remove(open_job)
             self._record_success(open_job, outcome)
             return outcome.report
@@ -344,7 +345,7 @@ class Dispatcher(Generic[J, R]):
         if open_job.n_flying and not is_hopeless:
             open_job.is_copied = False
             return None  # another attempt is in flight, which may hang
-        if outcome.ending is not Ending.FAILED:
+        if outcome.error is not RunError:
             self._requeue(open_job, self._retries)
         elif is_hopeless:
             self._flying.remove(open_job)
@@ -407,10 +408,10 @@ class Dispatcher(Generic[J, R]):
         """
         index, where = open_job.job.index, outcome.worker or "an unknown worker"
         LOG.debug("tile %s failed on %s: %s\n%s", index, where, outcome.reason, outcome.traceback)
-        if outcome.ending is Ending.FULL:
+        if outcome.error is StoreFullError:
             raise RunError(f"{outcome.reason}; finished tiles are kept, make room and rerun the same command")
-        if outcome.ending is not Ending.FAILED:
-            kind = self._refused if outcome.ending is Ending.REFUSED else self._unreachable
+        if outcome.error is not RunError:
+            kind = self._unreachable if outcome.error is NetworkError else self._refused
             self._exclude(kind, outcome.worker, outcome.reason)
             return
         open_job.failures.append(outcome)

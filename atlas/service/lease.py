@@ -25,7 +25,7 @@ from atlas.errors import InputError, NetworkError, RunError, to_one_line
 from atlas.platform import is_running, process_name
 from atlas.service.timing import TIMING, Timing
 from atlas.store.object_backend import StoreBackend, with_patience
-from atlas.store.sidecar import LEASE_NAME, clear_sidecar, lease_confirmation, read_lease_token
+from atlas.store.sidecar import LEASE_NAME, clear_sidecar, read_lease_token, with_confirmation
 
 _RELEASES = 3
 """Number of attempts to remove the lease at the end of a run; if all fail, the lease expires."""
@@ -163,13 +163,7 @@ class Lease:
         that was suspended does not know yet that its lease was taken over.
         """
         lost = "lease lost: another run has taken over the store; finished tiles are kept"
-        look = lease_confirmation(backend, self.token, RunError, lost)
-
-        def confirm() -> None:
-            self.check()
-            look()
-
-        return backend.with_lease(confirm)
+        return with_confirmation(backend, self.token, RunError, lost, before=self.check)
 
     def release(self) -> None:
         """Stop the renewals, and remove the lease if it still belongs to this run."""

@@ -4,7 +4,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 from html import escape
 from types import TracebackType
 from typing import Any
@@ -32,22 +31,20 @@ def progress_reporter(on_progress: Callable[[Progress], None] | None) -> Iterato
 class NotebookReporter(AbstractContextManager["NotebookReporter"]):
     """A progress bar in a notebook, which ``display``, IPython's function, shows once and then updates.
 
-    Its last state remains. The bar needs only IPython's own displays: Rich's bar needs ipywidgets, which may not be
-    installed.
+    It shows the last Progress and the notes so far, as HTML or text; its last state remains. The bar needs only
+    IPython's own displays: Rich's bar needs ipywidgets, which may not be installed.
     """
 
     def __init__(self, display: Callable[..., Any], interval: float = INTERVAL) -> None:
         self._display, self._interval = display, interval
         self._handle: Any = None
-        self._shown: Progress | None = None
-        self._last: Progress | None = None
-        self._due = 0.0
-        self._notes: tuple[str, ...] = ()
+        self._shown = self._last = Progress("")
+        self._due, self._notes = 0.0, list[str]()
 
     def __call__(self, progress: Progress) -> None:
         """Show a Progress, unless the bar was updated a moment ago; at once if its stage is new or it has a note."""
-        new = self._last is None or self._last.stage != progress.stage or bool(progress.note)
-        self._notes += (progress.note,) if progress.note else ()
+        new = self._last.stage != progress.stage or bool(progress.note)
+        self._notes += [progress.note] if progress.note else []
         self._last = progress
         if new or time.monotonic() >= self._due:
             self._show()
@@ -60,29 +57,20 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
             self._show()
 
     def _show(self) -> None:
-        assert self._last is not None
         self._shown, self._due = self._last, time.monotonic() + self._interval
         if self._handle is None:
-            self._handle = self._display(NotebookProgressBar(self._last, self._notes), display_id=True)
+            self._handle = self._display(self, display_id=True)
         else:
-            self._handle.update(NotebookProgressBar(self._last, self._notes))
-
-
-@dataclass(frozen=True)
-class NotebookProgressBar:
-    """A Progress, and the notes so far, as HTML or text for a notebook."""
-
-    progress: Progress
-    notes: tuple[str, ...] = ()
+            self._handle.update(self)
 
     def __repr__(self) -> str:
-        return "\n".join([*self.notes, str(self.progress)])
+        return "\n".join([*self._notes, str(self._last)])
 
     def _repr_html_(self) -> str:
-        known = f' value="{self.progress.cells_done}"' if self.progress.cells_done else ""
-        bar = f'<progress{known} max="{self.progress.cells}"></progress> ' if self.progress.cells else ""
-        notes = "".join(f"<div>{escape(note)}</div>" for note in self.notes)
-        return f"{notes}<div>{bar}<span>{escape(str(self.progress))}</span></div>"
+        known = f' value="{self._last.cells_done}"' if self._last.cells_done else ""
+        bar = f'<progress{known} max="{self._last.cells}"></progress> ' if self._last.cells else ""
+        notes = "".join(f"<div>{escape(note)}</div>" for note in self._notes)
+        return f"{notes}<div>{bar}<span>{escape(str(self._last))}</span></div>"
 
 
 def _notebook_display() -> Callable[..., Any] | None:

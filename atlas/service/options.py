@@ -61,9 +61,10 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        if self.workers is not None and (not 1 <= self.workers <= MAX_WORKERS or self.scheduler is not None):
-            value_text, most = brief_repr(self.workers), f"must be 1 to {MAX_WORKERS}"
-            raise InputError(f"workers: found {value_text}, {most}, for a local cluster only")
+        if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:
+            raise InputError(f"workers: found {brief_repr(self.workers)}, must be 1 to {MAX_WORKERS}")
+        if self.workers is not None and self.scheduler is not None:
+            raise InputError(f"workers: found {self.workers} on this host, and a scheduler, too; give only one")
         is_index = isinstance(self.tile, Sequence) and all(is_integer(n, Integral) for n in self.tile)
         if self.tile is not None and not is_index:
             raise InputError(f"tile: found {brief_repr(self.tile)}, must be the index of a tile, whole numbers")

@@ -106,7 +106,7 @@ class Plan(PrintableResult):
         total += _array_bytes((1,), 8 * WIDTH * tiling.count)
         coordinates = len(coordinate_names(spec))
         total += coordinates * _array_bytes((1,), 0) + 2 * 8 * sum(spec.shape) * (1 + len(spec.points))  # and copies
-        levels = OverviewLevels(spec.shape, tiling.tile, n_uncoarsened=spec.n_uncoarsened_dims)
+        levels = self._levels
         for level in range(1, levels.count + 1):
             cells = math.prod(map(min, levels.chunk, levels.shape_of(level)))
             for variable in level_variables(spec.variables):
@@ -118,13 +118,12 @@ class Plan(PrintableResult):
     @cached_property
     def objects(self) -> int:
         """Approximate number of files or objects of the store: chunks of tiles and of overviews."""
-        spec, tiling = self.spec, self.tiling
-        levels = OverviewLevels(spec.shape, tiling.tile, n_uncoarsened=spec.n_uncoarsened_dims)
-        chunks = sum(
-            math.prod(-(-n // c) for n, c in zip(levels.shape_of(level), levels.chunk, strict=True))
-            for level in range(1, levels.count + 1)
-        )
-        return tiling.count * self.objects_per_tile + chunks * len(level_variables(spec.variables))
+        chunks = sum(math.prod(self._levels.grid(level)) for level in range(1, self._levels.count + 1))
+        return self.tiling.count * self.objects_per_tile + chunks * len(level_variables(self.spec.variables))
+
+    @property
+    def _levels(self) -> OverviewLevels:
+        return OverviewLevels(self.spec.shape, self.tiling.tile, n_uncoarsened=self.spec.n_uncoarsened_dims)
 
     @property
     def objects_per_tile(self) -> int:

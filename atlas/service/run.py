@@ -3,6 +3,7 @@ reports.
 """
 
 import math
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from atlas.service.options import DEFAULTS, RunOptions, with_fields
 from atlas.service.plan import Plan, check_free_space, plan_of_run
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.store_call import StoreCall, store_call
-from atlas.service.summary import RunSummary, RunTotals, TileFailure
+from atlas.service.summary import RunSummary, TileFailure
 from atlas.service.tile_order import TileOrder
 from atlas.service.worker_pool import WorkerPool
 from atlas.spec.spec import Spec
@@ -26,10 +27,9 @@ from atlas.store.origin import Origin
 from atlas.store.store import AtlasStore, done_mask, find_store
 from atlas.store.tile_records import RunTileRecords, TileRecords
 from atlas.store.tiling import Index
-from atlas.task.attempt import execute_job, run_tile_job
 from atlas.task.label_basins import labelling_bytes
 from atlas.task.solve_block import kernels_of
-from atlas.task.tile_job import LABELS, DerivedReport, RunJob, TileReport
+from atlas.task.tile_job import LABELS, DerivedReport, RunJob, TileReport, execute_job, run_tile_job
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -100,23 +100,25 @@ def complete(spec: Spec, call: StoreCall, origin: Origin | None = None) -> RunSu
     run = _Run(handle, pool, replace(plan, tiling=handle.tiling))
     if tile is not None:
         run.do_alone(tile)
-        return run.totals.summary(str(call.backend))
+        return run.totals
     run.begin()
     if run.needs_workers or (call.client is not None and run.overviews):
         run.hand_out()
     run.finish()
-    return run.totals.summary(str(call.backend))
+    return run.totals
 
 
 class _Run:
     """A run on a leased store: solves its unfinished tiles on the workers, and then writes overviews and records."""
 
     def __init__(self, handle: AtlasStore, pool: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
-        self.handle, self.pool, self.stage = handle, pool, "solving"
+        self.handle, self.pool, self.plan, self.stage = handle, pool, plan, "solving"
         self.stored = TileRecords(handle, done_mask(handle))
         self.due, cells = ~self.stored.finished_mask, int(plan.tiling.sizes()[self.stored.finished_mask].sum())
         retried = handle.origin is not None and handle.origin.retry is not None
-        self.totals = RunTotals(plan, int(self.stored.finished_mask.sum()), cells, retried)
+        n_tiles, n_done, store = plan.tiling.count, int(self.stored.finished_mask.sum()), str(handle.backend)
+        self.totals = RunSummary(store, n_tiles, n_done, workers=plan.workers, retried=retried)
+        self.totals.cells, self.totals.cells_done, self.start = plan.tiling.cells, cells, time.perf_counter()
 
     def begin(self) -> None:
         """Report the progress of the store, create the groups of its overviews, and write its table of tile records."""
@@ -124,7 +126,7 @@ class _Run:
         if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
             if self.handle.backend.local is not None:
-                check_free_space(totals.plan, self.handle.backend.local, int(self.due.sum()))
+                check_free_space(self.plan, self.handle.backend.local, int(self.due.sum()))
         self.report(stage)
         self.overviews = OverviewBuilder(self.handle)
         self.records = RunTileRecords(self.handle, self.stored)
@@ -142,28 +144,28 @@ class _Run:
             raise InputError(f"{handle.backend}: tile {index} is already finished")
         prepare_kernels(self.pool.call.options.report, *self.pool.kernels)
         self.begin()
-        self.totals.start()
+        self.start = time.perf_counter()
         self.report(f"solving tile {index} in this process")
         report = run_tile_job(RunJob(index, self.pool.store_ref))
         self.records.add(report.index, report.record)
         self.records.write()
-        self.totals.add(report)
+        self._add(report)
 
     def hand_out(self) -> None:
         """Send unfinished tiles to the workers and add up their reports, then build the overviews.
 
         Overviews are coarser copies of the atlas; they are built level by level.
         """
-        handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.pool.store_ref
+        handle, order, site = self.handle, TileOrder(self.due), self.pool.store_ref
         dispatcher = self.pool.dispatcher
-        totals.start()
+        self.start = time.perf_counter()
         try:
             for outcome in self.pool.iter_outcomes((RunJob(index, site) for index in order), self._tick):
                 if isinstance(outcome, TileReport):
                     order.record_cost(outcome.index, outcome.solve_seconds)
                     self.records.add(outcome.index, outcome.record)
                 if not isinstance(outcome, DerivedReport):
-                    totals.add(outcome)
+                    self._add(outcome)
                 self.report("solving")
             if handle.spec.basins:
                 self.stage = "labelling the attractors"
@@ -177,6 +179,10 @@ class _Run:
             self.report("interrupted, cancelling the tiles in flight")
             self.records.write()
             raise
+
+    def _add(self, outcome: TileReport | TileFailure) -> None:
+        self.totals.add(outcome)
+        self.totals.seconds = time.perf_counter() - self.start
 
     def _make(self, jobs: list[RunJob]) -> None:
         """Run jobs other than tiles, such as chunks of overviews, on the workers.
@@ -192,15 +198,16 @@ class _Run:
             failed = outcome.message if isinstance(outcome, TileFailure) else ""
             if fault := outcome.fault if isinstance(outcome, DerivedReport) else failed:
                 note = f"overview {jobs[0].level}, chunk {outcome.index}: {fault}; this process builds it at the end"
-                self.pool.call.options.report(replace(self.totals.progress(self.stage), note=note))
+                self.pool.call.options.report(replace(self._progress(self.stage), note=note))
 
     def _tick(self, workers: WorkerStatus) -> None:
         totals = self.totals
         self.pool.call.lease.check(lambda: self.report("waiting for the store: no response"))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.excluded
-        totals.trouble = workers.trouble
         self.records.save()
-        self.pool.call.lease.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
+        now = {name: getattr(totals, name) for name in ("cells", "cells_done", "cells_solved", "seconds")}
+        state = {"workers": workers.threads, "trouble": workers.trouble, "holds": self.records.counts}
+        self.pool.call.lease.set_progress(now | state)
         self.report(
             workers.trouble or (self.stage if workers.threads else "no workers connected: waiting for one to join")
         )
@@ -212,7 +219,13 @@ class _Run:
 
     def report(self, stage: str) -> None:
         """Report the progress of the run, with ``stage`` as its present activity."""
-        self.pool.call.options.report(self.totals.progress(stage))
+        self.pool.call.options.report(self._progress(stage))
+
+    def _progress(self, stage: str) -> Progress:
+        totals = self.totals
+        names = ("tiles", "cells", "tiles_done", "cells_done", "cells_solved", "seconds", "counts")
+        now: dict[str, Any] = {name: getattr(totals, name) for name in names}
+        return Progress(stage, self.plan, **now, failures=len(totals.failures))
 
 
 def memory_of(cells: int) -> int:

@@ -16,7 +16,7 @@ from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
 from atlas.store.create import remove_half_made
 from atlas.store.object_backend import Given, StoreBackend, open_backend, with_patience
-from atlas.store.sidecar import LEASE_NAME, clear_sidecar, read_lease_token, sidecar_of
+from atlas.store.sidecar import sidecar_of
 from atlas.store.store import AtlasStore, open_store
 
 if TYPE_CHECKING:
@@ -59,9 +59,23 @@ class StoreCall:
         self.threads = worker_count(self.client, self.options)
 
     def acquire_lease(self) -> None:
-        """Lease the store until the call ends. Raise InputError if another run holds the lease."""
-        self.lease = self.stack.enter_context(hold_store_lease(self.backend, self.options))
-        self.backend = self.lease.bind(with_patience(self.backend, self.options.patience))
+        """Lease the store until the call ends, and remove what killed runs have left of a store in its place.
+
+        A single heartbeat, a renewal of the lease, waits only as long as the backend does. The run as a whole waits
+        ``options.patience`` seconds for the store; meanwhile every write that finishes a tile still confirms the lease.
+        Raise InputError if another run holds the lease.
+        """
+        backend, options = self.backend, self.options
+
+        def say(text: str) -> None:
+            options.report(Progress(text))
+
+        patience = options.patience if backend.local is None else 0.0
+        holding = hold_lease(sidecar_of(backend), str(backend), say, options.timing, patience)
+        self.lease = self.stack.enter_context(holding)
+        if backend.local is not None:
+            remove_half_made(backend.local)
+        self.backend = self.lease.bind(with_patience(backend, options.patience))
 
 
 @contextmanager
@@ -83,35 +97,3 @@ def store_call(
     with progress_reporter(options.on_progress) as report, ExitStack() as stack:
         backend = open_backend(store, storage_options=options.storage_options)
         yield StoreCall(backend, replace(options, on_progress=report), client, stack)
-
-
-@contextmanager
-def hold_store_lease(backend: StoreBackend, options: RunOptions) -> Iterator[Lease]:
-    """Hold the lease of a store within the block.
-
-    Partial stores left by killed runs are removed at the start, and the sidecar files of this run, small files beside
-    the store, at the end. A single heartbeat, a renewal of the lease, waits only as long as the backend does. The run
-    as a whole waits ``options.patience`` seconds for the store; meanwhile every write that finishes a tile still
-    confirms the lease.
-    """
-    notes = sidecar_of(with_patience(backend, options.patience))
-
-    def say(text: str) -> None:
-        options.report(Progress(text))
-
-    def tidy() -> None:
-        if read_lease_token(notes) == claim.token:  # else the sidecar belongs to another run
-            clear_sidecar(notes, (key for key in notes.list_keys() if key != LEASE_NAME))
-
-    patience = options.patience if backend.local is None else 0.0
-    with hold_lease(sidecar_of(backend), str(backend), say, options.timing, patience) as claim:
-        if backend.local is not None:
-            remove_half_made(backend.local)
-        try:
-            yield claim
-        except Exception:
-            raise  # sidecar files of unfinished tiles stay: the tiles may be the cause
-        except BaseException:
-            tidy()
-            raise
-        tidy()

@@ -1,14 +1,10 @@
 """The summary of a run, from the reports of its tiles."""
 
-import time
-from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
 
 from atlas.formatting import PrintableResult, duration, plural, shares
-from atlas.service.plan import Plan
-from atlas.service.progress import Progress, reason_lines
+from atlas.service.progress import reason_lines
 from atlas.spec.laws import LawUse, law_lines, merged
 from atlas.task.tile_job import TileReport
 
@@ -32,9 +28,9 @@ class TileFailure:
         return f"tile {self.index} failed{f' on {self.worker}' if self.worker else ''}: {self.message}"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(repr=False)
 class RunSummary(PrintableResult):
-    """The result of a run.
+    """The result of a run, or the numbers so far of a run at work.
 
     store                         path or URL of the store
     tiles, tiles_done             number of tiles; number of tiles finished by now
@@ -49,27 +45,43 @@ class RunSummary(PrintableResult):
     retried, changed              True for the store of a retry; number of cells that changed their regime
     processor_seconds             processor time in the solver, summed over workers; other programs do not count
     laws                          use of the laws that are expressions, in the cells solved by this run
+    cells, cells_done             number of cells; number of cells finished by now
     """
 
     store: str
     tiles: int
-    tiles_done: int
-    tiles_solved: int
-    cells_solved: int
-    counts: Mapping[str, int]
-    reasons: Mapping[str, int]
-    seconds: float
-    solve_seconds: float
-    write_seconds: float
-    periods: int
-    workers: int
-    peak_bytes: int
-    failures: tuple[TileFailure, ...]
-    refused: Mapping[str, str]
+    tiles_done: int = 0
+    tiles_solved: int = 0
+    cells_solved: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
+    reasons: Mapping[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+    solve_seconds: float = 0.0
+    write_seconds: float = 0.0
+    periods: int = 0
+    workers: int = 0
+    peak_bytes: int = 0
+    failures: tuple[TileFailure, ...] = ()
+    refused: Mapping[str, str] = field(default_factory=dict)
     retried: bool = False
     processor_seconds: float = 0.0
     changed: int = 0
     laws: Mapping[str, LawUse] = field(default_factory=dict)
+    cells: int = 0
+    cells_done: int = 0
+
+    def add(self, outcome: TileReport | TileFailure) -> None:
+        """Add the report or the failure of one tile."""
+        if isinstance(outcome, TileFailure):
+            self.failures += (outcome,)
+            return
+        self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.reused
+        self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
+        self.counts, self.reasons = _added(self.counts, outcome.counts), _added(self.reasons, outcome.reasons)
+        self.laws = merged([self.laws, outcome.laws])
+        for name in ("solve_seconds", "processor_seconds", "write_seconds", "periods", "changed"):
+            setattr(self, name, getattr(self, name) + getattr(outcome, name))
+        self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
 
     @property
     def cells_per_second(self) -> float:
@@ -102,56 +114,5 @@ class RunSummary(PrintableResult):
         return [(line,) for line in lines + reason_lines(self.reasons) + law_lines(self.laws)]
 
 
-class RunTotals:
-    """The totals of a run, summed over the reports of its tiles so far."""
-
-    def __init__(self, plan: Plan, tiles_done: int = 0, cells_done: int = 0, retried: bool = False) -> None:
-        self.plan, self.retried, self.workers = plan, retried, plan.workers
-        self.tiles, self.cells = plan.tiling.count, plan.tiling.cells
-        self.tiles_done, self.cells_done = tiles_done, cells_done
-        self.tiles_solved = self.cells_solved = self.changed = self.periods = self.peak_bytes = 0
-        self.solve_seconds = self.write_seconds = self.processor_seconds = self.seconds = 0.0
-        self.counts, self.reasons = Counter[str](), Counter[str]()
-        self.laws: dict[str, LawUse] = {}
-        self.failures: tuple[TileFailure, ...] = ()
-        self.refused: Mapping[str, str] = {}
-        self.trouble = ""
-        self.start()
-
-    def start(self) -> None:
-        """Start measuring the seconds of the run."""
-        self.begin = time.perf_counter()
-
-    def add(self, outcome: TileReport | TileFailure) -> None:
-        """Add the report or the failure of one tile to the totals."""
-        self.seconds = time.perf_counter() - self.begin
-        if isinstance(outcome, TileFailure):
-            self.failures += (outcome,)
-            return
-        self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.reused
-        self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
-        self.counts.update(outcome.counts)
-        self.reasons.update(outcome.reasons)
-        self.laws = merged([self.laws, outcome.laws])
-        for name in ("solve_seconds", "processor_seconds", "write_seconds", "periods", "changed"):
-            setattr(self, name, getattr(self, name) + getattr(outcome, name))
-        self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
-
-    def progress(self, stage: str) -> Progress:
-        """Return the progress of the run, with ``stage`` as its present activity."""
-        names = ("plan", "tiles", "cells", "tiles_done", "cells_done", "cells_solved", "seconds")
-        now = {name: getattr(self, name) for name in names}
-        return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
-
-    def report(self, threads: int) -> dict[str, Any]:
-        """Return the progress of the run as a dict for JSON, which is written into the lease of the store.
-
-        ``atlas status`` reads it there.
-        """
-        names = ("cells", "cells_done", "cells_solved", "seconds", "trouble")
-        return {"workers": threads} | {name: getattr(self, name) for name in names}
-
-    def summary(self, store: str) -> RunSummary:
-        """Return the summary of the run, for a store at this path or URL."""
-        sums = {entry.name: getattr(self, entry.name) for entry in fields(RunSummary) if entry.name != "store"}
-        return RunSummary(store, **sums | {"counts": dict(self.counts), "reasons": dict(self.reasons)})
+def _added(total: Mapping[str, int], more: Mapping[str, int]) -> dict[str, int]:
+    return {name: total.get(name, 0) + more.get(name, 0) for name in {**total, **more}}

@@ -155,78 +155,48 @@ def _attractors() -> Schema:
 def _definition() -> Schema:
     """Return the schema of the table [system] that defines a machine.
 
-    Its keys are some of ``KEYS``; the sizes of rows and matrices are limited by the number of coordinates.
+    The sizes of rows and matrices are limited by the number of coordinates. An entry without a kind below is a number
+    or an expression.
     """
-    row, matrix = _list(_ENTRY, 1, MAX_COORDINATES), _list(_list(_ENTRY, 1, MAX_COORDINATES), 1, MAX_COORDINATES)
-    entries: Schema = {key: _TEXT for key in TEXTS}
-    entries |= {key: _list(_NAME, 1, MAX_COORDINATES) for key in ("coordinates", "velocities")}
-    entries |= {key: matrix for key in ("mass", "damping", "stiffness")}
-    entries |= {key: row for key in ("force", "phase", "cosine", "load", "gap")}
-    entries |= {key: _ENTRY for key in ("upper", "lower", "restitution", "period")}
+    row, pair = _list(_ENTRY, 1, MAX_COORDINATES), _list(_ENTRY, 2, 2)
+    matrix, points = _list(row, 1, MAX_COORDINATES), _list(pair, 2, SEGMENTS + 1)
+    words: Schema = {"type": "string", "maxLength": 200}
+    order: Schema = {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]}
+    waves: Schema = {"anyOf": [{"required": ["force"]}, {"required": ["cosine"]}]}
+    report: Schema = {**_list({"enum": list(REPORTS)}, 1), "uniqueItems": True}
+    element: Schema = {"name": _NAME, "gap": row, "row": row, "law_back": points}
+    element |= {"law": {"anyOf": [points, {"type": "string"}]}, "range": {"anyOf": [_ENTRY, pair]}}
+    element["release"] = {"enum": list(RELEASES), "default": RELEASES[0]}
+    phase: Schema = {"contacts": _map(_keyed(PAD)), "friction": _map(_keyed(RUB))}
+    phase |= dict.fromkeys(("stiffness", "damping"), matrix) | dict.fromkeys(("force", "cosine", "load"), row)
+    parameter = dict.fromkeys(("low_open", "high_open"), _FLAG) | dict.fromkeys(("symbol", "unit", "meaning"), words)
+    entries: Schema = dict.fromkeys(TEXTS, _TEXT)
+    entries |= dict.fromkeys(("coordinates", "velocities"), _list(_NAME, 1, MAX_COORDINATES))
+    entries |= dict.fromkeys(("mass", "damping", "stiffness"), matrix)
+    entries |= dict.fromkeys(("force", "phase", "cosine", "load", "gap"), row)
     entries |= {
         "name": {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,40}$"},
         "version": _whole(1, LATEST),
-        "axes": _map(_list(_ENTRY, 2, 2)),
-        "harmonics": _list(_harmonic(row)),
-        "contacts": _list(_element(CONTACT_KEYS, ["name", "gap"]), 1, STOPS),
-        "friction": _list(_element(FRICTION_KEYS, ["name", "row"]), 0, FRICTION),
-        "springs": _list(_element(SPRING_KEYS, [*SPRING_KEYS[:3]]), 0, SPRINGS),
-        "phases": _list(_phase(row, matrix), 0, PHASES),
+        "axes": _map(pair),
+        "harmonics": _list({**_keyed(HARMONIC_KEYS, {"order": order}, ["order"], row), **waves}),
+        "contacts": _list(_keyed(CONTACT_KEYS, element, ["name", "gap"]), 1, STOPS),
+        "friction": _list(_keyed(FRICTION_KEYS, element, ["name", "row"]), 0, FRICTION),
+        "springs": _list(_keyed(SPRING_KEYS, element, SPRING_KEYS[:3]), 0, SPRINGS),
+        "phases": _list(_keyed(PHASE_KEYS, phase, ["start"]), 0, PHASES),
         "drift": _NAME,
-        "within": _ENTRY,
         "steps": {**_whole(STEPS, SMOOTH_PHASES // 2), "multipleOf": 2},
-        "measures": _map(_measure(row), 0, MEASURES),
+        "measures": _map(_keyed(MEASURE_KEYS, {"weight": _ENTRY, "report": report}, ["report"], row), 0, MEASURES),
         "let": _map(_ENTRY, 0, MANY),
-        "parameters": _map(_own_parameter(), 0, MANY),
+        "parameters": _map({"anyOf": [_ENTRY, _keyed(PARAMETER_KEYS, parameter)]}, 0, MANY),
     }
-    return _table({key: entries[key] for key in KEYS}, ["name", "coordinates", "mass"])
+    return _keyed(KEYS, entries, ["name", "coordinates", "mass"])
 
 
-def _harmonic(row: Schema) -> Schema:
-    """Return the schema of a harmonic of the force. ``row`` is the schema of a value per coordinate."""
-    order: Schema = {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]}
-    table = _table({key: order if key == "order" else row for key in HARMONIC_KEYS}, ["order"])
-    return {**table, "anyOf": [{"required": ["force"]}, {"required": ["cosine"]}]}
-
-
-def _element(keys: Iterable[str], required: list[str]) -> Schema:
-    """Return the schema of a contact or a friction element: a name, a row of coefficients, and constants."""
-    known: Schema = {
-        "name": _NAME,
-        "gap": _list(_ENTRY, 1, MAX_COORDINATES),
-        "row": _list(_ENTRY, 1, MAX_COORDINATES),
-        "release": {"enum": list(RELEASES), "default": RELEASES[0]},
-        "law": {"anyOf": [_list(_list(_ENTRY, 2, 2), 2, SEGMENTS + 1), {"type": "string"}]},
-        "law_back": _list(_list(_ENTRY, 2, 2), 2, SEGMENTS + 1),
-        "range": {"anyOf": [_ENTRY, _list(_ENTRY, 2, 2)]},
-    }
-    return _table({key: known.get(key, _ENTRY) for key in keys}, required)
-
-
-def _phase(row: Schema, matrix: Schema) -> Schema:
-    """Return the schema of a phase: a part of each forcing period in which entries of the definition are replaced."""
-    entries: Schema = {
-        "start": _ENTRY, "stiffness": matrix, "damping": matrix, "force": row, "cosine": row,
-        "load": row, "contacts": _map(_table({key: _ENTRY for key in PAD})),
-        "friction": _map(_table({key: _ENTRY for key in RUB})),
-    }  # fmt: skip
-    return _table({key: entries[key] for key in PHASE_KEYS}, ["start"])
-
-
-def _measure(row: Schema) -> Schema:
-    """Return the schema of an output of a machine, a combination of its coordinates, and of the results reported about
-    it.
-    """
-    report = {**_list({"enum": list(REPORTS)}, 1), "uniqueItems": True}
-    known: Schema = {"weight": _ENTRY, "report": report}
-    return _table({key: known.get(key, row) for key in MEASURE_KEYS}, ["report"])
-
-
-def _own_parameter() -> Schema:
-    """Return the schema of a parameter in a definition: its default, a number or an expression, or a table of more."""
-    words: Schema = {"type": "string", "maxLength": 200}
-    flags: Schema = {"low_open": _FLAG, "high_open": _FLAG, "symbol": words, "unit": words, "meaning": words}
-    return {"anyOf": [_ENTRY, _table({key: flags.get(key, _ENTRY) for key in PARAMETER_KEYS})]}
+def _keyed(
+    keys: Iterable[str], kinds: Mapping[str, Any] | None = None, required: Iterable[str] = (), other: Schema = _ENTRY
+) -> Schema:
+    """Return the schema of a table with these keys: each has its schema in ``kinds``, or ``other``."""
+    return _table({key: (kinds or {}).get(key, other) for key in keys}, required)
 
 
 def _table(entries: Mapping[str, Any], required: Iterable[str] = ()) -> Schema:

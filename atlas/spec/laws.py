@@ -12,7 +12,6 @@ import numpy as np
 from atlas.errors import InputError
 from atlas.formatting import plural
 from atlas.spec.spec import Spec
-from workers.model.elements import ALWAYS
 from workers.model.measures import LAW_ERROR, RANGE_SHARE
 from workers.model.system import System
 
@@ -100,7 +99,7 @@ def step_lines(system: System) -> list[str]:
     definition = system.definition
     if definition.within is None:
         return []
-    steps, phases = definition.pieces // 2, definition.pieces * len(definition.phases or ALWAYS)
+    steps, phases = definition.pieces // 2, definition.phase_count
     error, where = float(np.nanmax(system.step_errors())), "on the usual axes" if system.axes else "at the defaults"
     return [
         f"smooth coefficients: {steps} steps, {phases} phases; off by {error:.2g} {where}, bound {definition.within:g}"

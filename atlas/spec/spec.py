@@ -114,19 +114,16 @@ class Spec:
         for name in axes:
             if name in parameters:
                 raise InputError(f"{name} is both a parameter and an axis; remove one of the two")
-        put = object.__setattr__
-        put(self, "system", record.name)
-        put(self, "system_def", record)
-        put(self, "points", columns)
         read = tuple(read_axis(record.parameter(name), axis_values) for name, axis_values in axes.items())
-        put(self, "axes", (axis_of(columns),) if columns else read)
-        _check_continuation(self.axes, record)
+        read = (axis_of(columns),) if columns else read
+        _check_continuation(read, record)
         fixed = validate_parameters(record, parameters)
         differ = {*(axes or columns), *(p.name for p in record.parameters if p.formula and p.name not in parameters)}
-        put(self, "parameters", {name: value for name, value in fixed.items() if name not in differ})
-        put(self, "settings", observable_settings(_settings_of(solve), record))
-        put(self, "attractors", parse_attractors(attractors, record, self.settings))
-        put(self, "tile", _checked_tile(store, len(self.axes)))
+        fixed = {name: value for name, value in fixed.items() if name not in differ}
+        settings = observable_settings(_settings_of(solve), record)
+        vars(self).update(system=record.name, system_def=record, points=columns, axes=read, parameters=fixed)
+        vars(self).update(settings=settings, attractors=parse_attractors(attractors, record, settings))
+        vars(self).update(tile=_checked_tile(store, len(read)))
         _check_whole_lines(self)
         if self.attractors is not None and self.continuation is not None:
             raise InputError("attractors: an axis with continuation starts each cell from its neighbour; remove one")
@@ -281,15 +278,15 @@ class Spec:
 
     def with_observables(self, observe: str) -> "Spec":
         """Return the same spec with the observables, separated by commas in ``observe``; see ``workers.Settings``."""
-        other = copy(self)
-        settings = replace(self.settings, observe=observe)
-        object.__setattr__(other, "settings", observable_settings(settings, self.system_def))
-        return other
+        return self._with(settings=observable_settings(replace(self.settings, observe=observe), self.system_def))
 
     def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
         """Return the same spec with tiles of this shape."""
+        return self._with(tile=tile)
+
+    def _with(self, **changed: object) -> "Spec":
         other = copy(self)
-        object.__setattr__(other, "tile", tile)
+        vars(other).update(changed)
         return other
 
     @property

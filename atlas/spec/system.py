@@ -2,8 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from functools import lru_cache
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,11 @@ def resolved_system(resolved: Mapping[str, Any]) -> System:
 
 def stored_spec(attributes: Mapping[Any, Any]) -> Mapping[str, Any]:
     """Return the resolved spec of the store with these root attributes; empty if they contain no spec."""
-    return _of_text(str(attributes.get("spec", "")))[0]
+    try:
+        spec = json.loads(str(attributes.get("spec", "")))
+    except ValueError:
+        return {}
+    return spec if isinstance(spec, Mapping) else {}
 
 
 def system_of(attributes: Mapping[Any, Any], who: str = "") -> System:
@@ -52,43 +55,26 @@ def system_of(attributes: Mapping[Any, Any], who: str = "") -> System:
 
     Raise InputError if the attributes name no system that this program can build; the message begins with ``who``.
     """
-    system = _of_text(str(attributes.get("spec", "")))[1]
-    if isinstance(system, InputError):
-        raise InputError(f"{who}: {system}" if who else str(system))
-    return system
+    try:
+        return resolved_system(stored_spec(attributes))
+    except InputError as error:
+        reason = str(error)
+    except (KeyError, TypeError, ValueError):
+        reason = "this dataset lacks the spec of its atlas"
+    raise InputError(f"{who}: {reason}" if who else reason)
 
 
 def stored_system(attributes: Mapping[Any, Any]) -> System | None:
     """Return the system of the store with these root attributes; None if they name no known system."""
-    system = _of_text(str(attributes.get("spec", "")))[1]
-    return None if isinstance(system, InputError) else system
+    with suppress(InputError):
+        return system_of(attributes)
+    return None
 
 
 def stored_name(attributes: Mapping[Any, Any]) -> str:
     """Return the name that a store's root attributes give its system, known or not; empty if they give none."""
     system = stored_spec(attributes).get("system", "")
     return str(system.get("name", "") if isinstance(system, Mapping) else system)
-
-
-@lru_cache(maxsize=16)
-def _of_text(text: str) -> tuple[Mapping[str, Any], System | InputError]:
-    """Return the spec in a JSON text, and its system, or the error if this program cannot build the system.
-
-    The result is cached, since a picture needs the system at every label.
-    """
-    lacking = InputError("this dataset lacks the spec of its atlas")
-    try:
-        spec = json.loads(text)
-        if not isinstance(spec, Mapping):
-            return {}, lacking
-    except ValueError:
-        return {}, lacking
-    try:
-        return spec, resolved_system(spec)
-    except InputError as error:
-        return spec, error
-    except (KeyError, TypeError, ValueError):
-        return spec, lacking
 
 
 def impacts_of(system: System, cell: Mapping[str, Any]) -> str:

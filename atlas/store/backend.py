@@ -4,7 +4,7 @@ folders.
 
 import errno
 import os
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class StoreBackend:
     def with_lease(self, confirmation: Confirmation | None) -> Self:
         """Return the same backend with a function that confirms the lease of the store; None if no lease is needed."""
         leased = copy(self)
-        object.__setattr__(leased, "confirmation", confirmation)  # no field: two views of one backend are equal
+        vars(leased).update(confirmation=confirmation)  # no field: two views of one backend are equal
         return leased
 
     def __deepcopy__(self, memo: object) -> Self:
@@ -55,20 +55,13 @@ class StoreBackend:
         """Return the bytes of an object, or a part of them; None if the object does not exist."""
         raise NotImplementedError
 
-    def version(self, key: str) -> Hashable:
-        """Return a value that changes whenever an object is written; None if the object does not exist.
-
-        The bytes of the object are not read.
-        """
-        raise NotImplementedError
-
     def list_keys(self, prefix: str = "") -> Iterator[str]:
         """Yield all keys, or the keys under a prefix that ends in "/", from one listing."""
         raise NotImplementedError
 
     def exists(self, key: str) -> bool:
-        """Return True if the object exists."""
-        return self.version(key) is not None
+        """Return True if the object exists; its bytes are not read."""
+        raise NotImplementedError
 
     def whole_keys(self, keys: Iterable[str]) -> Iterator[str]:
         """Yield those of the keys whose objects are not empty: a crash of the system may leave empty files."""
@@ -155,14 +148,6 @@ class LocalBackend(StoreBackend):
 
     def whole_keys(self, keys: Iterable[str]) -> Iterator[str]:
         yield from filter(self.exists, keys)
-
-    def version(self, key: str) -> Hashable:
-        try:
-            stat = (self.path / key).stat()
-        except _ABSENT:
-            return None
-        # A write replaces the file by another.
-        return None if S_ISDIR(stat.st_mode) else (stat.st_ino, stat.st_mtime_ns, stat.st_size)
 
     def put(self, key: str, data: bytes) -> None:
         with self._written(key, lambda written: written.write_bytes(data)) as written:

@@ -3,7 +3,6 @@ host.
 """
 
 import json
-from functools import lru_cache
 
 from atlas.store.host import HOSTS, UNKNOWN, HostInfo, host_from_facts
 from atlas.store.metadata import ROOT, encode_node, group_node
@@ -12,13 +11,9 @@ from atlas.store.store import AtlasStore
 
 
 def record_host(handle: AtlasStore, machine: HostInfo) -> None:
-    """Add a host to the hosts that solved tiles of this store."""
-    _recorded(handle.backend, handle.run_id, machine)
-
-
-@lru_cache(maxsize=64)  # once for each process and store
-def _recorded(backend: StoreBackend, run_id: str, machine: HostInfo) -> None:
-    backend.put_new(f"{HOSTS}/{machine.name}/{ROOT}", _record(machine))
+    """Add a host to the hosts that solved tiles of this store, once for each process."""
+    key = f"{HOSTS}/{machine.name}/{ROOT}"
+    handle.cached(key, lambda: handle.backend.put_new(key, _record(machine)))
 
 
 def read_hosts(handle: AtlasStore) -> tuple[HostInfo, ...]:

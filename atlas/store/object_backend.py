@@ -6,7 +6,7 @@ conditional writes in place of renames.
 
 import os
 import pickle
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -200,14 +200,14 @@ class ObjectBackend(StoreBackend):
         except FileNotFoundError:
             return None
 
-    def version(self, key: str) -> Hashable:
+    def exists(self, key: str) -> bool:
         import obstore
 
         try:
-            meta = self._persist(lambda: obstore.head(self.client, key))
+            self._persist(lambda: obstore.head(self.client, key))
         except FileNotFoundError:
-            return None
-        return meta["e_tag"], meta["version"], meta["last_modified"], meta["size"]
+            return False
+        return True
 
     def put(self, key: str, data: bytes) -> None:
         import obstore

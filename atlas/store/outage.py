@@ -32,15 +32,25 @@ def retry_call(call: Callable[[], _T], url: str, patience: float) -> _T:
     Raise NetworkError, which names the URL, after ``patience`` seconds. Raise OSError at once for failures that do not
     pass. A failed call may still have taken effect.
     """
-    from obstore.exceptions import BaseError
+    from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
 
-    outage = _Outage(url, patience)
+    begin, pause = math.inf, _FIRST_PAUSE
     while True:
         try:
             return call()
         except BaseError as error:
-            pause = outage.pause_after(error)
-        time.sleep(pause)
+            line = first_line(error)
+            if not _PASSING.search(line):
+                if isinstance(error, PermissionDeniedError | UnauthenticatedError) or _REFUSED.search(line):
+                    hint = "; check that the credentials are still valid" if line.endswith("400 Bad Request") else ""
+                    raise PermissionError(errno.EACCES, line + hint) from None
+                raise OSError(line) from None
+        begin = min(begin, time.monotonic())
+        tried = time.monotonic() - begin
+        if tried >= patience:
+            raise NetworkError(f"{without_secrets(url)}: no answer for {tried:.0f} s ({line})")
+        time.sleep(min(pause * random.uniform(0.5, 1.0), patience - tried))  # not all workers at once
+        pause = min(2.0 * pause, _LONGEST_PAUSE)
 
 
 def first_line(error: Exception) -> str:
@@ -51,30 +61,3 @@ def first_line(error: Exception) -> str:
     matches = [re.search(rf"<{name}>([^<]*)</{name}>", answer) for name in ("Code", "Message")]
     reason = ": ".join(" ".join(match[1].split()) for match in matches if match)
     return without_secrets(f"{text} ({reason})" if reason else text)
-
-
-class _Outage:
-    """An outage during one call to a server: it begins when the first attempt fails, and counts the failed attempts."""
-
-    def __init__(self, url: str, patience: float) -> None:
-        self.url, self.patience = url, patience
-        self.begin, self.next = math.inf, _FIRST_PAUSE
-
-    def pause_after(self, error: Exception) -> float:
-        """Return the seconds to wait after a failed attempt. Raise an error if the call is not to be repeated."""
-        from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
-
-        line = first_line(error)
-        if not _PASSING.search(line):
-            if isinstance(error, PermissionDeniedError | UnauthenticatedError) or _REFUSED.search(line):
-                hint = "; check that the credentials are still valid" if line.endswith("400 Bad Request") else ""
-                raise PermissionError(errno.EACCES, line + hint) from None
-            raise OSError(line) from None
-        now = time.monotonic()
-        self.begin = min(self.begin, now)
-        tried = now - self.begin
-        if tried >= self.patience:
-            raise NetworkError(f"{without_secrets(self.url)}: no answer for {tried:.0f} s ({line})") from None
-        pause = min(self.next * random.uniform(0.5, 1.0), self.patience - tried)  # not all workers at once
-        self.next = min(2.0 * self.next, _LONGEST_PAUSE)
-        return pause

@@ -52,21 +52,25 @@ def read_lease_token(sidecar: StoreBackend) -> str:
         return ""
 
 
-def lease_confirmation(store: StoreBackend, token: str, error: type[RunError], reason: str) -> Confirmation:
-    """Return a function that raises an error unless the run with the given token leases the store.
+def with_confirmation(
+    store: StoreBackend, token: str, error: type[RunError], reason: str, before: Confirmation = lambda: None
+) -> StoreBackend:
+    """Return the backend of a store with a confirmation that raises an error unless a run leases the store.
 
     store    backend of the store
     token    token of the run
     error    class of the error
     reason   text of the error, after the name of the store
+    before   function that is called before the token is read
     """
     sidecar = sidecar_of(store)
 
     def confirm() -> None:
+        before()
         if read_lease_token(sidecar) != token:
             raise error(f"{store}: {reason}")
 
-    return confirm
+    return store.with_lease(confirm)
 
 
 def clear_sidecar(sidecar: StoreBackend, names: Iterable[str]) -> None:

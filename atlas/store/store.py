@@ -1,9 +1,8 @@
 """The handle of a store, which opens the store and gives access to its spec, its arrays and its finished tiles."""
 
-import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from threading import RLock
@@ -47,7 +46,7 @@ READERS = 8
 
 
 class _SharedCache(dict[str, Any]):
-    """All that was read or opened so far through a handle of a store, by name of the handle's property.
+    """All that was read or opened so far through a handle of a store, by name.
 
     Copies of the handle with other backends share it. ``lock`` is held while a value is computed.
     """
@@ -61,12 +60,7 @@ class SharedCachedProperty(cached_property[_T]):
     """A property that is computed once for a handle and all its copies with other backends."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
-        name, cache = str(self.attrname), instance.cache
-        with cache.lock:  # the threads of a worker ask at the same time
-            if name not in cache:
-                cache[name] = self.func(instance)
-            value: _T = cache[name]
-        return value
+        return instance.cached(str(self.attrname), lambda: self.func(instance))
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,6 @@ class AtlasStore:
     solver_version   solver version of its cells
     tile             cells of a tile along each dimension
     origin           store whose cells it took over, None if there is none
-    state            digest of the root's metadata at the time they were read; ``current`` compares it
     cache            everything else, read or opened at its first use and kept in this process
     """
 
@@ -93,7 +86,6 @@ class AtlasStore:
     solver_version: int
     tile: tuple[int, ...]
     origin: Origin | None = None
-    state: str = field(default="", repr=False, compare=False)
     cache: _SharedCache = field(default_factory=_SharedCache, init=False, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -105,14 +97,21 @@ class AtlasStore:
     def __deepcopy__(self, memo: object) -> "AtlasStore":
         return self  # a handle never changes
 
-    def current(self) -> "AtlasStore":
-        """Return this handle if the store has not been replaced since, that is if its root is unchanged; else a new
-        handle.
+    def cached(self, name: str, make: Callable[[], _T]) -> _T:
+        """Return what ``make`` has returned for this handle under this name; it is called once, and reads no chunk."""
+        with self.cache.lock:  # the threads of a worker ask at the same time
+            if name not in self.cache:
+                self.cache[name] = make()
+            value: _T = self.cache[name]
+        return value
 
-        Raise errors like ``open_store``. This takes one request, fewer than opening the store.
+    def current(self) -> "AtlasStore":
+        """Return this handle if the store has not been replaced since; else a new handle.
+
+        Raise errors like ``open_store``. The second copy of the root's attributes is read, which is small.
         """
         with os_errors_as_input_errors(self.backend, "read"):
-            same = self.state and _state(self.backend.get(ROOT)) == self.state
+            same = unsealed(self.backend.get(SPEC_KEY)) == self.attributes
         return self if same else open_store(self.backend)
 
     def with_backend(self, backend: StoreBackend) -> "AtlasStore":
@@ -220,7 +219,7 @@ def _open_handle(backend: StoreBackend) -> AtlasStore:
         raise InputError(f"{backend}: {ROOT} {damage}: {remedy(backend)}")
     if not is_intact and other is None and _is_copy(backend, content):
         raise InputError(f"{backend}: {COPY_BY_XARRAY}")
-    return replace(handle_by(backend, attributes or _attributes(backend, content)), state=_state(content))
+    return handle_by(backend, attributes or _attributes(backend, content))
 
 
 def _attributes(backend: StoreBackend, content: bytes | None) -> dict[str, Any]:
@@ -246,10 +245,6 @@ def _attributes(backend: StoreBackend, content: bytes | None) -> dict[str, Any]:
 def _is_copy(backend: StoreBackend, content: bytes | None) -> bool:
     """Return True if only the root of a store was copied: the root is intact, but the group of tiles is missing."""
     return unsealed(content) is not None and not backend.exists(f"{TILES}/{ROOT}")
-
-
-def _state(content: bytes | None) -> str:
-    return hashlib.sha256(content or b"").hexdigest()
 
 
 def handle_by(backend: StoreBackend, attributes: Mapping[str, Any]) -> AtlasStore:
@@ -302,14 +297,15 @@ def is_free(backend: StoreBackend) -> bool:
     return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
-def done_mask(handle: AtlasStore) -> NDArray[np.bool_]:
+def done_mask(handle: AtlasStore, sized: bool = True) -> NDArray[np.bool_]:
     """Return the mask (grid) of the finished tiles, from one listing of the store.
 
     A tile is finished if the chunk with its regimes exists and is not empty. A crash may have emptied files. On a disk,
-    looking at their sizes takes most of the time.
+    looking at their sizes takes most of the time; it is left out unless ``sized``.
     """
     grid, backend, folder = handle.tiling.grid, handle.backend, f"{REGIME.name}/c"
-    keys = backend.whole_keys(backend.list_keys(f"{folder}/"))
+    keys = backend.list_keys(f"{folder}/")
+    keys = backend.whole_keys(keys) if sized else keys
     return chunk_mask(keys, folder, (*grid, *(1 for _ in handle.regime.extra_dims))).reshape(grid)
 
 

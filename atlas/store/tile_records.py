@@ -38,7 +38,7 @@ from atlas.store.record_format import (
     count_row,
     record_block,
 )
-from atlas.store.store import READERS, AtlasStore, array_by, done_mask, is_done
+from atlas.store.store import READERS, AtlasStore, array_by, chunk_key, done_mask, is_done
 from atlas.store.tiles import encode_chunks, read_tile, record_of
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
@@ -69,7 +69,7 @@ class TileRecords:
 
     @cached_property
     def _listed(self) -> NDArray[np.bool_]:
-        """Mask (grid) of the finished tiles, from a listing of their chunks.
+        """Mask (grid) of the finished tiles, and of empty files in their place, from a listing of their chunks.
 
         At a URL, a table with valid records of all tiles makes the listing unnecessary.
         """
@@ -77,7 +77,7 @@ class TileRecords:
             checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
             if all(checks):
                 return np.ones(self.handle.tiling.grid, dtype=bool)
-        return done_mask(self.handle)
+        return done_mask(self.handle, sized=False)
 
     @cached_property
     def _masks(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -107,6 +107,10 @@ class TileRecords:
         known, self.lost = np.zeros_like(finished), []
         for block, rows in self._blocks():
             valid = add_up(rows, self._sizes[block])
+            if self._given is None:  # no empty file has a record: a tile is flushed before its record is written
+                keys = {chunk_key(self.handle.regime, tile): tile for tile in _tiles(finished[block] & ~valid, block)}
+                for key in keys.keys() - self.handle.backend.whole_keys(keys):
+                    finished[keys[key]] = False
             self.lost += _tiles(valid & ~finished[block], block)
             known[block] = valid & finished[block]
             rows[~known[block]] = 0.0

@@ -158,17 +158,10 @@ def read_tile(
 def block(array: Any, index: tuple[int, ...]) -> Slices:
     """Return the slices of a tile's cells in a Zarr array.
 
-    They follow from the shape of the array's own objects, so that no write is misaligned.
+    They follow from the shape of the array's own objects, shards or chunks, so that no write is misaligned.
     """
-    sides = object_shape(array)
+    sides = array.shards or array.chunks
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, sides, array.shape, strict=False))
-
-
-def object_shape(array: Any) -> tuple[int, ...]:
-    """Return the shape, in cells, of the objects in which a Zarr array is stored: shards, or chunks if there are no
-    shards.
-    """
-    return tuple(array.shards or array.chunks)
 
 
 def _as_in_spec(handle: AtlasStore, index: tuple[int, ...], allowance: BudgetVariable) -> np.ndarray:

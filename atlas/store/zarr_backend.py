@@ -81,9 +81,6 @@ class ZarrBackend(StoreBackend):
             store = await self._open()
             return None if store is None else await store.get(key, prototype, byte_range)
 
-    def version(self, key: str) -> Hashable:
-        return self.get(key)  # a Zarr store has no cheaper token
-
     def exists(self, key: str) -> bool:
         async def is_stored() -> bool:
             store = await self._open()

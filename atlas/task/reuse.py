@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, InputError, RunError
 from atlas.spec.spec import Slices, Spec
+from atlas.store.handle_cache import cached_handle
 from atlas.store.host_records import read_hosts, record_host
 from atlas.store.object_backend import sibling_backend
 from atlas.store.origin import ALLOWANCES
 from atlas.store.store import AtlasStore, chunk_key, is_done
-from atlas.store.tile_records import EXCHANGED, is_exchanged
+from atlas.store.tile_records import EXCHANGED, TileRecords, is_exchanged
 from atlas.store.tiles import read_tile, record_of
-from atlas.task.handle_cache import cached_handle, cached_records
 from workers.results import PENDING, REGIME, empty_results
 
 
@@ -94,7 +94,8 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
             for machine in read_hosts(origin):
                 record_host(handle, machine)
         known = read_tile(origin, index)
-        if is_exchanged(cached_records(origin), index, record_of(origin, index, known)):
+        records = origin.cached("records", lambda: TileRecords(origin))  # the origin no longer changes
+        if is_exchanged(records, index, record_of(origin, index, known)):
             raise ChunkError(origin.backend, {chunk_key(origin.regime, index): EXCHANGED})
         if not handle.allowances:  # a cell with a higher budget than the spec's has other results here
             for allowance in ALLOWANCES:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from atlas.errors import InputError, RunError
 from atlas.store.backend import StoreBackend
+from atlas.store.handle_cache import cached_handle
 from atlas.store.outage import LONG_PATIENCE, SHORT_PATIENCE
 from atlas.store.parts import get_part, put_part
-from atlas.store.sidecar import lease_confirmation
+from atlas.store.sidecar import with_confirmation
 from atlas.store.store import AtlasStore
-from atlas.task.handle_cache import cached_handle
 from workers import SOLVER_VERSION
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -54,8 +54,7 @@ class StoreRef:
         if not self.lease:
             return handle
         lost = "the run that sent this job has lost its lease; nothing more is finished"
-        confirm = lease_confirmation(handle.backend, self.lease, WorkerRefusedError, lost)
-        return handle.with_backend(handle.backend.with_lease(confirm))
+        return handle.with_backend(with_confirmation(handle.backend, self.lease, WorkerRefusedError, lost))
 
     def write_part(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
         """Store an intermediate result of a search, as a part of a group."""

@@ -28,7 +28,7 @@ LABELS = -1
 
 @dataclass(frozen=True)
 class RunJob:
-    """A job of a run, as sent to a worker. ``attempt.execute_job`` executes it, also without a cluster.
+    """A job of a run, as sent to a worker. ``execute_job`` executes it, also without a cluster.
 
     index       index of the tile, or of the chunk of an overview
     store_ref   reference to the store
@@ -92,6 +92,15 @@ class DerivedReport:
     fault: str = ""
 
 
+def execute_job(job: RunJob) -> TileReport | DerivedReport:
+    """Do any job of a run on this worker and return its report: a tile, a chunk of the overviews, or the labels of
+    basins.
+    """
+    if job.level == LABELS:
+        return label_basins(job)
+    return make_chunk(job) if job.level else run_tile_job(job)
+
+
 def make_chunk(job: RunJob) -> DerivedReport:
     """Build a chunk of the overviews, the coarser copies of the atlas, and return the report."""
     with translate_file_errors(job.store_ref.store):
@@ -115,6 +124,21 @@ def label_basins(job: RunJob) -> DerivedReport:
         return DerivedReport(job.index, tuple((index, tuple(row.tolist())) for index, row in records.items()))
 
 
+def run_tile_job(job: RunJob) -> TileReport:
+    """Solve a tile, write it, and return its report. Of two attempts at the same time each writes the same bits.
+
+    Raise WorkerRefusedError if this worker must not solve the tile: another solver, or another store at the path. Raise
+    NetworkError if the store does not respond within the job's patience.
+    """
+    with translate_file_errors(job.store_ref.store):
+        handle = job.handle()
+        if is_done(handle, job.index):  # its worker died between writing and reporting
+            arrays = read_tile(handle, job.index)
+            solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
+            return make_report(handle, job.index, arrays, solved, tuple(record_of(handle, job.index, arrays).tolist()))
+    return solve_and_write(job, handle)
+
+
 def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
     """Solve the cells of a tile that the store does not take over from its origin, write the tile, and return its
     report.
@@ -129,8 +153,8 @@ def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()  # the store may have been replaced
         if is_done(handle, job.index):  # another attempt has finished it: the stored tile stays
-            arrays = stored_tile(handle, job.index)
-            record = record_in_report(handle, job.index, arrays)
+            arrays = read_tile(handle, job.index)
+            record = tuple(record_of(handle, job.index, arrays).tolist())
         else:
             record = commit(handle, job, arrays, known.source if not known.missing.any() else None)
     before, after = known.regime[known.missing], handle.dominant_arrays(arrays)[REGIME.name][known.missing]
@@ -171,16 +195,6 @@ def commit(handle: AtlasStore, job: RunJob, arrays: Arrays, source: AtlasStore |
     record = write_tile(handle, job.index, arrays) if source is None else copy_tile(handle, source, job.index, arrays)
     pyramid_of(handle).build_chunk_over(job.index, arrays)
     return tuple(record.tolist())
-
-
-def stored_tile(handle: AtlasStore, index: tuple[int, ...]) -> Arrays:
-    """Return all results of a finished tile by name."""
-    return read_tile(handle, index)
-
-
-def record_in_report(handle: AtlasStore, index: tuple[int, ...], arrays: Arrays) -> tuple[float, ...]:
-    """Return the record of a tile with these results as a tuple, the form in a report."""
-    return tuple(record_of(handle, index, arrays).tolist())
 
 
 def make_report(

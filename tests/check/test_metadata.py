@@ -19,6 +19,7 @@ import zarr
 from click.testing import CliRunner
 
 import atlas
+from atlas.check.metadata import RightObjects, metadata_faults, open_damaged_store
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError
@@ -27,6 +28,7 @@ from atlas.store import create
 from atlas.store.groups import CURVES, STABILITY, write_group, write_table
 from atlas.store.host import host_from_facts
 from atlas.store.host_records import record_host
+from atlas.store.object_backend import open_backend
 from atlas.store.schema import SPEC_KEY, StoredArray
 from tests.synthetic import spec_of
 
@@ -75,8 +77,12 @@ def test_a_bit_flipped_in_any_key_is_found_and_mended(store: Path, file: str) ->
     assert verify(store, sample=0).faults == ()
     for after in flips(before):
         (store / file).write_bytes(after)
-        assert verify(store, sample=0, repair=True).faults, after
-        assert (store / file).read_bytes() == before, after
+        handle = open_damaged_store(open_backend(store))
+        right = RightObjects(handle)
+        assert any(fault.what.startswith(f"{file} ") for fault in metadata_faults(handle, right)), after
+        assert right[file] == before, after
+    assert verify(store, sample=0, repair=True).restored == (f"{file} written again",)
+    assert (store / file).read_bytes() == before
     assert verify(store, sample=0).faults == ()
 
 

@@ -65,6 +65,13 @@ def whole(solved: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(solved, tmp_path / "out.zarr"))
 
 
+@pytest.fixture(scope="module")
+def cells(solved: Path) -> dict[str, np.ndarray]:
+    """The results of all cells, only to be read."""
+    group = zarr.open_group(solved, mode="r")
+    return {variable.name: group[variable.name][...] for variable in store.open_store(solved).variables}
+
+
 def chunk(path: Path, name: str, tile: str = "0/1") -> Path:
     extra = {v.name: len(v.extra_dims) for v in result_variables(SPEC.settings)}.get(name, 0)
     return path.joinpath(name, "c", tile, *["0"] * extra)
@@ -101,11 +108,12 @@ def test_a_store_as_it_was_made_is_fine_and_every_chunk_of_it_was_read(whole: Pa
 
 
 @pytest.mark.parametrize("byte", [0, -1])
-@pytest.mark.parametrize("name", VARIABLES)
-def test_a_corrupted_byte_is_found_in_every_kind_of_chunk(whole: Path, name: str, byte: int) -> None:
-    flip(chunk(whole, name), byte)
-    (fault,) = message(verify(whole, sample=0))
-    assert fault.startswith(f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is damaged (")
+def test_a_corrupted_byte_is_found_in_every_kind_of_chunk(whole: Path, byte: int) -> None:
+    for name in VARIABLES:
+        flip(chunk(whole, name), byte)
+    found = message(verify(whole, sample=0))
+    for fault, name in zip(found, VARIABLES, strict=True):
+        assert fault.startswith(f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is damaged (")
 
 
 @pytest.mark.parametrize("size", [0, 1, 3, 10])
@@ -115,10 +123,12 @@ def test_a_torn_chunk_is_found(whole: Path, size: int) -> None:
     assert "tile (0, 1): state/c/0/1/0 is damaged" in fault
 
 
-@pytest.mark.parametrize("name", [name for name in VARIABLES if name != "regime"])
-def test_a_missing_chunk_is_found(whole: Path, name: str) -> None:
-    chunk(whole, name).unlink()
-    assert message(verify(whole, sample=0)) == [f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is missing"]
+def test_a_missing_chunk_of_every_kind_is_found(whole: Path) -> None:
+    names = [name for name in VARIABLES if name != "regime"]
+    for name in names:
+        chunk(whole, name).unlink()
+    missing = [f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is missing" for name in names]
+    assert message(verify(whole, sample=0)) == missing
 
 
 def test_every_bad_chunk_is_reported_and_not_only_the_first(whole: Path) -> None:
@@ -249,12 +259,22 @@ def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: 
         ("sum_law_defect", PERIODIC, 1e-6, "sum_law_defect is too large, or of no spectrum"),
     ],
 )
-def test_results_that_contradict_each_other_are_found(
-    whole: Path, name: str, regime: int, value: Any, rule: str
+def test_results_that_contradict_each_other_break_a_rule(
+    cells: dict[str, np.ndarray], name: str, regime: int, value: Any, rule: str
 ) -> None:
-    cell = change(whole, name, lambda found: found == regime, value)
-    faults = message(verify(whole, sample=0))
-    assert f"tile {(cell[0] // 2, cell[1] // 2)}: {rule}: 1 cell, the first at {recheck.place_in(SPEC, cell)}" in faults
+    cell = tuple(np.argwhere(cells["regime"] == regime)[0].tolist())
+    changed = cells | {name: cells[name].copy()}
+    changed[name][cell] = value(changed[name][cell]) if callable(value) else value
+    broken = broken_rules(SPEC, (slice(0, 3), slice(0, 4)), changed)
+    assert np.argwhere(broken[rule]).tolist() == [[*cell]]
+
+
+def test_a_cell_that_breaks_a_rule_is_a_fault_of_its_tile(whole: Path) -> None:
+    cell = change(whole, "error", lambda regime: regime == PERIODIC, -1e-9)
+    place = recheck.place_in(SPEC, cell)
+    assert message(verify(whole, sample=0)) == [
+        f"tile {(cell[0] // 2, cell[1] // 2)}: error is negative: 1 cell, the first at {place}"
+    ]
 
 
 def rules_broken_by_chaos(whole: Path, reason: int, errors: float) -> list[str]:

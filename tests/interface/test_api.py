@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from distributed import Client
 
 import atlas
 from atlas.service.progress import Progress
@@ -75,9 +76,11 @@ def test_a_plan_with_a_probe_foretells_a_time() -> None:
     assert found.as_dict()["seconds"] > 0
 
 
-def test_fields_of_the_options_are_keywords_of_a_run_and_its_status_is_that_of_the_store(tmp_path: Path) -> None:
+def test_fields_of_the_options_are_keywords_of_a_run_and_its_status_is_that_of_the_store(
+    tmp_path: Path, client: Client
+) -> None:
     seen: list[Progress] = []
-    atlas.run(atlas.Spec.from_toml("tiny"), tmp_path / "a.zarr", workers=1, on_progress=seen.append)
+    atlas.run(atlas.Spec.from_toml("tiny"), tmp_path / "a.zarr", client, on_progress=seen.append)
     found = atlas.status(tmp_path / "a.zarr")
     assert (found.fraction, found.cells_done) == (1.0, 48)
     assert seen

@@ -13,11 +13,10 @@ from click.testing import CliRunner
 import atlas
 from atlas.accessor import AtlasAccessor
 from atlas.cli.main import main
-from atlas.cli.options import SETTING_MEANINGS
 from atlas.render import KINDS, OVERLAYS, SCALAR
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.spec.examples import example_names
-from atlas.spec.spec import Spec
+from atlas.spec.spec import SETTING_MEANINGS, Spec
 from tests.project.test_docs import parse
 from workers import Settings
 

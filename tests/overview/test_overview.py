@@ -28,10 +28,9 @@ from atlas.service.progress import Progress
 from atlas.store import create, store
 from atlas.store.object_backend import LocalBackend
 from atlas.store.tiles import drop_tile, write_tile
-from atlas.task import attempt
-from atlas.task.attempt import execute_job
+from atlas.task import tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
-from atlas.task.tile_job import RunJob, commit, make_chunk
+from atlas.task.tile_job import RunJob, commit, execute_job, make_chunk
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
@@ -448,7 +447,7 @@ def test_a_tile_whose_chunk_lies_over_others_too_is_left_to_a_job(tmp_path: Path
 
 def test_a_run_has_its_workers_make_the_overviews(begun: Path, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[int, tuple[int, ...]]] = []
-    monkeypatch.setattr(attempt, "make_chunk", lambda job: (made.append((job.level, job.index)), make_chunk(job))[1])
+    monkeypatch.setattr(tile_job, "make_chunk", lambda job: (made.append((job.level, job.index)), make_chunk(job))[1])
     atlas.run(plane_of(), begun, client=client)
     levels = Pyramid(store.open_store(begun)).levels
     assert sorted(made) == sorted(

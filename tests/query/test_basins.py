@@ -24,10 +24,9 @@ from atlas.store.store import open_store
 from atlas.store.tile_records import RunTileRecords, TileRecords, complete_records
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import label_basins
-from atlas.task.attempt import execute_job
 from atlas.task.label_basins import complete_basins
 from atlas.task.store_ref import StoreRef
-from atlas.task.tile_job import LABELS, DerivedReport, RunJob
+from atlas.task.tile_job import LABELS, DerivedReport, RunJob, execute_job
 from tests.simulators.test_oracle import FIG3
 from workers import Settings, solve_tile
 from workers.attractors.basins import solve_basins

@@ -15,7 +15,7 @@ from atlas.errors import InputError
 from atlas.query.compare import Comparison
 from atlas.query.read_counter import count_chunk_reads
 from atlas.render import side_by_side
-from atlas.render.color_limits import scale_ends
+from atlas.render.scales import scale_ends
 from atlas.store import create, store
 from tests import pictures
 from tests.interface.test_cli import call

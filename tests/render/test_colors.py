@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import class_maps, kinds, portrait_figure, scalar_maps, style, sweep
+from atlas.render import class_maps, kinds, looks, portrait_figure, scales, sweep
 from atlas.render.kinds import STABLE
 from atlas.store.schema import REGIME_COLORS
 from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, REGULAR, UNDETERMINED
@@ -28,7 +28,7 @@ _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
 _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined", "locking", "regular")}
 _PERIODS = {f"period {first}": color for first, _, color in class_maps.PERIODS}
-_CHAOS = {f"chaos {i}": tuple(scalar_maps.CHAOS(i / 4)[:3]) for i in range(5)}
+_CHAOS = {f"chaos {i}": tuple(scales.pick(scales.CHAOS, i / 4) / 255) for i in range(5)}
 
 _UNLISTED = {f"unlisted {i}": color for i, color in enumerate(class_maps.UNLISTED)}
 
@@ -44,10 +44,10 @@ PALETTES = {
     "impacts": _REGIMES | {color: color for pair in class_maps.HUES.values() for color in pair} | _UNLISTED,
     "spectrum": {f"exponent {i}": sweep.color_of(i) for i in range(4)},
     "points of a sweep": {
-        str(code): style.INK[code]
+        str(code): looks.INK[code]
         for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, LOCKING, REGULAR)
     },
-    "events": {kind: look.color for kind, look in style.EVENT_STYLES.items() if kind not in OF_A_COLOR},
+    "events": {kind: look.color for kind, look in looks.EVENT_STYLES.items() if kind not in OF_A_COLOR},
     "hysteresis": dict(zip("ab", sweep.COLORS, strict=True)),
 }
 
@@ -78,7 +78,7 @@ def test_impacts_of_a_portrait_are_told_from_each_other_and_from_all_else_in_it(
         (look[1] for look in portrait_figure.IMPACTS.values()),
         [portrait_figure.LINE, portrait_figure.STOP],
     )
-    others += [sweep.color_of(i) for i in range(4)] + list(style.INK.values())
+    others += [sweep.color_of(i) for i in range(4)] + list(looks.INK.values())
     seen = {color: lab(color, EVERY_SIGHT[sight]) for color in (upper, lower, *others)}
     for own, rest in ((upper, others), (lower, [*others, upper])):
         closest = min((float(np.linalg.norm(seen[own] - seen[other])), own, other) for other in rest)
@@ -90,8 +90,7 @@ def test_impacts_of_a_portrait_differ_in_their_marker_too() -> None:
 
 
 def test_events_of_one_colour_differ_in_line_and_marker() -> None:
-    looks = style.EVENT_STYLES.values()
-    for one, other in itertools.combinations(looks, 2):
+    for one, other in itertools.combinations(looks.EVENT_STYLES.values(), 2):
         assert one.marker != other.marker
         assert one.dashes != other.dashes
 
@@ -135,23 +134,25 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs(
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> None:
     """So every exponent has a grey of its own, none below zero that of one above; none is white, as if without data."""
-    lightness = [lab(scalar_maps.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
+    lightness = [lab(scales.pick(scales.EXPONENT, v) / 255, EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
     assert np.all(np.diff(lightness) < -0.4)
     assert 90.0 < lightness[0] < 95.0 and lightness[-1] < 12.0
 
 
 SCALES = {
-    "exponent": scalar_maps.EXPONENT,
-    "combined": scalar_maps.CHAOS,
-    "numbers": scalar_maps.colormap_of(kinds.NUMBERS.colors),
-    **{name: scalar_maps.colormap_of(scale.colors) for name, scale in kinds.SCALES.items()},
+    "exponent": scales.EXPONENT,
+    "combined": scales.CHAOS,
+    "numbers": scales.color_table(kinds.NUMBERS.colors),
+    **{name: scales.color_table(scale.colors) for name, scale in kinds.SCALES.items()},
 }
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 @pytest.mark.parametrize("scale", SCALES)
 def test_the_lightness_of_a_scale_rises_or_falls_all_the_way(scale: str, sight: str) -> None:
-    steps = np.diff([lab(SCALES[scale](v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 33)])
+    steps = np.diff(
+        [lab(scales.pick(SCALES[scale], v) / 255, EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 33)]
+    )
     assert np.all(steps > 0.0) or np.all(steps < 0.0)
 
 
@@ -184,7 +185,7 @@ def test_periods_rise_in_every_grey_to_which_programs_convert() -> None:
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) -> None:
-    below, above = (lab(scalar_maps.EXPONENT(share)[:3], EVERY_SIGHT[sight]) for share in (0.4999, 0.5001))
+    below, above = (lab(scales.pick(scales.EXPONENT, share) / 255, EVERY_SIGHT[sight]) for share in (0.4999, 0.5001))
     assert ciede2000(below, above) > 40.0
 
 
@@ -198,13 +199,13 @@ def test_a_labelled_branch_is_seen_on_white_and_differs_from_its_mirror_image(si
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
-@pytest.mark.parametrize("kind", style.EVENT_STYLES)
+@pytest.mark.parametrize("kind", looks.EVENT_STYLES)
 def test_a_curve_is_told_from_its_ground_by_its_colour_or_by_its_white_casing(kind: str, sight: str) -> None:
     """Of every ground: by its own colour where the ground is pale, elsewhere by the white beside it, which
     test_maps finds under every curve.
     """
-    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (style.EVENT_STYLES[kind].color, "white"))
-    chaos = {f"chaos {v}": tuple(scalar_maps.EXPONENT(v)[:3]) for v in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)}
+    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (looks.EVENT_STYLES[kind].color, "white"))
+    chaos = {f"chaos {v}": tuple(scales.pick(scales.EXPONENT, v) / 255) for v in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)}
     for name, color in (_REGIMES | _PERIODS | chaos).items():
         ground = lab(color, EVERY_SIGHT[sight])
         assert max(ciede2000(line, ground), min(ciede2000(line, casing), ciede2000(casing, ground))) > 20.0, name

@@ -23,7 +23,7 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
-from atlas.render import painters, text
+from atlas.render import maps, text
 from atlas.render.kinds import KIND_TABLE
 from atlas.render.layout import page as page_of
 from atlas.render.request import PictureRequest
@@ -59,7 +59,7 @@ def draw(kind: str, **look: Any) -> Figure:
         where = "query.basins.table" if kind == render.BASINS else "render.class_maps.branches"
         ds, table = basin() if kind == render.BASINS else labelled()
         with patch(f"atlas.{where}", return_value=table):
-            figure = painters.draw(KIND_TABLE[kind], ds, PictureRequest(page))
+            figure = maps.draw(KIND_TABLE[kind], ds, PictureRequest(page))
         page.wrap_texts(figure)
         return figure
     if kind in render.MAPS:

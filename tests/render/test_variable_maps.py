@@ -1,5 +1,6 @@
 """Maps of any variable, and exponents of -inf in pictures, counts and means."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from atlas.overview.coarsen import coarsen, from_cells
 from atlas.query.extremes import extremes
 from atlas.render import scalar_maps
 from atlas.render.kinds import KIND_TABLE
+from atlas.render.scales import LINEAR, Scale, both_signs, color_table
 from atlas.store.create import create_store
 from atlas.store.tiles import write_tile
 from tests.pictures import colour, labels, line, pixel, plane
@@ -159,16 +161,16 @@ def test_the_command_draws_a_variable_of_a_store_or_says_why_not_and_writes_noth
 
 
 def test_a_scale_of_both_signs_is_pale_at_zero_and_as_dark_on_either_side_of_it() -> None:
-    colormap = scalar_maps.signed_colormap(colors.Normalize(-1.0, 2.0))
-    lightness = colormap(np.array([1 / 6, 1 / 3, 1 / 2]))[:, :3] @ [0.2126, 0.7152, 0.0722]
+    above = KIND_TABLE["scalar"].scale.colors
+    scale = Scale(LINEAR, (-1.0, 2.0), color_table(above), both_signs(above))
+    colors = scale.colors(np.array([-0.5, 0.0, 0.5])) / 255
+    lightness = colors @ [0.2126, 0.7152, 0.0722]
     assert lightness[1] > 0.9
     assert lightness[0] == pytest.approx(lightness[2], abs=0.02)
-    below, above = colormap(1 / 6), colormap(1 / 2)
-    assert below[1] > below[0] and above[0] > above[1]  # green, purple
+    below, _, above_zero = colors
+    assert below[1] > below[0] and above_zero[0] > above_zero[1]  # green, purple
     for ends in ((0.0, 2.0), (-2.0, -1.0)):
-        assert scalar_maps.signed_colormap(colors.Normalize(*ends)) is scalar_maps.colormap_of(
-            KIND_TABLE["scalar"].scale.colors
-        )
+        assert replace(scale, ends=ends).table is color_table(above)
 
 
 # Exponents of -inf

@@ -31,7 +31,6 @@ from atlas.robustness.table import (
     write_measures,
 )
 from atlas.service.measures import _content, _digest, measure_attractors
-from atlas.service.options import RunOptions
 from atlas.store.create import create_store
 from atlas.store.groups import STABILITY
 from atlas.store.parts import finished_parts, get_part, part_names, put_part
@@ -219,11 +218,11 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
     theirs = StoredMeasures(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "theirs", "norm": NORM}})
 
     @contextmanager
-    def claimed_late(place: Any, options: RunOptions) -> Iterator[Any]:
+    def claimed_late(*_: object) -> Iterator[Any]:
         write_measures(handle, theirs)
         yield SimpleNamespace(bind=lambda place: place)
 
-    monkeypatch.setattr("atlas.service.store_call.hold_store_lease", claimed_late)
+    monkeypatch.setattr("atlas.service.store_call.hold_lease", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; rerun the same command"):
         measure_attractors(handle.path, client=client)
     assert read_measures(handle).requests == theirs.requests

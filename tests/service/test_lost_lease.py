@@ -30,10 +30,9 @@ from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import AtlasStore, done_tiles, open_store
 from atlas.store.tile_records import TileRecords, write_records
 from atlas.store.tiles import drop_tile
-from atlas.task import attempt
-from atlas.task.attempt import run_tile_job
+from atlas.task import tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.planes import plane_of
 from workers import tile as solving
 from workers.settings import MAX_PERIODS
@@ -184,14 +183,14 @@ def test_a_tile_is_finished_after_one_look_at_the_claim(
 def test_every_job_of_a_run_has_the_token_of_its_claim(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, tokens = attempt.run_tile_job, set()
+    whole, tokens = tile_job.run_tile_job, set()
 
     def looking(job: RunJob) -> Any:
         record = LeaseRecord.unpack(sidecar_of(job.store_ref.store).get(LEASE_NAME) or b"")
         tokens.add((job.store_ref.lease, record and record.token))
         return whole(job)
 
-    monkeypatch.setattr(attempt, "run_tile_job", looking)
+    monkeypatch.setattr(tile_job, "run_tile_job", looking)
     atlas.run(plane, tmp_path / "out.zarr", client=client)
     ((job, claim),) = tokens
     assert job == claim != ""
@@ -273,14 +272,14 @@ def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves
         if progress.tiles_done == 9 and not written:
             notes = sidecar_of(store)
             notes.put(LEASE_NAME, THEIRS.pack())
-            notes.put_new("started-0-0", b"1")
+            notes.put_new("theirs", b"1")
             written.update(contents(store))
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(RunError, match="lease lost: another run has taken over the store; finished tiles are kept"):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=asleep))
     assert contents(store) == written
-    assert sidecar_of(store).get("started-0-0") == b"1"
+    assert sidecar_of(store).get("theirs") == b"1"
     assert sidecar_of(store).get(LEASE_NAME) == THEIRS.pack()
 
 
@@ -310,10 +309,10 @@ def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_ru
         if progress.tiles_done == 2:
             notes = sidecar_of(store)
             notes.put(LEASE_NAME, THEIRS.pack())
-            notes.put_new("started-9-9", b"1")
+            notes.put_new("theirs", b"1")
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(KeyboardInterrupt):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=interrupted))
-    assert sidecar_of(store).get("started-9-9") == b"1"
+    assert sidecar_of(store).get("theirs") == b"1"

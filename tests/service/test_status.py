@@ -40,8 +40,8 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
     drop_tile(handle, (1, 1))
     notes.put_new(LEASE_NAME, claim().pack())
 
-    def slow(of: AtlasStore) -> NDArray[np.bool_]:
-        found = counted(of)
+    def slow(of: AtlasStore, sized: bool) -> NDArray[np.bool_]:
+        found = counted(of, sized)
         if notes.get(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
             write_tile(handle, (1, 1), last)
             notes.remove(LEASE_NAME)
@@ -59,9 +59,9 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     counted, whole = tile_records.done_mask, LocalBackend.get
     looks: list[str] = []
 
-    def count(of: AtlasStore) -> NDArray[np.bool_]:
+    def count(of: AtlasStore, sized: bool) -> NDArray[np.bool_]:
         looks.append("tiles")
-        return counted(of)
+        return counted(of, sized)
 
     def read(place: LocalBackend, name: str, part: slice | None = None) -> bytes | None:
         looks.extend([name] * (place.path.suffix == ".run"))
@@ -96,7 +96,7 @@ HELD = {"tiles": 4, "regimes": {"periodic": 15, "chaotic": 1}, "reasons": {}}
 def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tile_records, "done_mask", lambda _: pytest.fail("the store was listed"))
+    monkeypatch.setattr(tile_records, "done_mask", lambda *_, **__: pytest.fail("the store was listed"))
     sidecar_of(finished).put_new(LEASE_NAME, claim({"holds": HELD}).pack())
     status = read_status(open_store(finished))
     assert (status.tiles_done, status.cells_done, status.regimes) == (4, 16, {"periodic": 15, "chaotic": 1})

@@ -16,15 +16,16 @@ import pytest
 
 import atlas
 from atlas.errors import InputError
+from atlas.overview.pyramid import Pyramid, pyramid_of
 from atlas.query.open import handle_of
+from atlas.store import handle_cache
 from atlas.store.backend import LocalBackend
 from atlas.store.create import create_store
+from atlas.store.schema import SPEC_KEY
 from atlas.store.store import AtlasStore, open_store
 from atlas.store.zarr_store import BackendStore
-from atlas.task import handle_cache
-from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.planes import plane_of
 
 ROOT, METADATA = "zarr.json", "regime/zarr.json"
@@ -32,7 +33,7 @@ ROOT, METADATA = "zarr.json", "regime/zarr.json"
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[tuple[str, str]]]:
-    """How often each object of any store was read ("get") or looked for ("version", "exists") by its place."""
+    """How often each object of any store was read ("get") or looked for ("exists") by its place."""
     counts: Counter[tuple[str, str]] = Counter()
 
     def counting(name: str) -> None:
@@ -44,7 +45,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[tuple[str, str]]]
 
         monkeypatch.setattr(LocalBackend, name, call)
 
-    for name in ("get", "version", "exists"):
+    for name in ("get", "exists"):
         counting(name)
     yield counts
 
@@ -53,7 +54,7 @@ def of_metadata(counts: Counter[tuple[str, str]]) -> Counter[tuple[str, str]]:
     return Counter({(how, key): count for (how, key), count in counts.items() if key.endswith("zarr.json")})
 
 
-def test_a_tile_looks_at_the_state_of_the_root_twice_and_reads_no_metadata(
+def test_a_tile_reads_the_attributes_of_the_root_twice_and_no_other_metadata(
     tmp_path: Path, asked: Counter[tuple[str, str]]
 ) -> None:
     """Before it is solved and before it is written; after the first tile of a process, which has read the handle."""
@@ -62,7 +63,7 @@ def test_a_tile_looks_at_the_state_of_the_root_twice_and_reads_no_metadata(
     run_tile_job(job)
     asked.clear()
     run_tile_job(replace(job, index=(1, 1)))
-    assert of_metadata(asked) == {("version", ROOT): 2}
+    assert of_metadata(asked) == {("get", SPEC_KEY): 2}
 
 
 QUESTIONS: dict[str, Callable[[Any], object]] = {
@@ -92,7 +93,7 @@ def test_a_question_to_a_dataset_looks_at_its_store_by_one_object_and_opens_it_n
     asked.clear()
     keys.clear()
     QUESTIONS[question](ds.atlas)
-    assert of_metadata(asked) == {("get", ROOT): 1}
+    assert of_metadata(asked) == {("get", SPEC_KEY): 1}
     assert ROOT not in keys and "overviews/zarr.json" not in keys
     for ask in QUESTIONS.values():
         ask(ds.atlas)
@@ -116,7 +117,7 @@ def test_a_run_of_a_finished_store_reads_its_header_once(finished: Path, asked: 
 def test_only_jobs_that_write_cells_open_the_arrays_of_cells_for_writing(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(handle_cache, "_headers", {})
+    monkeypatch.setattr(handle_cache, "_handles", {})
     handle = open_store(finished)
     site = StoreRef(handle.backend, handle.run_id, handle.solver_version)
     handle = site.open()
@@ -149,14 +150,13 @@ def test_a_dataset_whose_store_has_been_replaced_is_told_so(finished: Path) -> N
         handle_of(ds)
 
 
-def test_a_dataset_sees_what_its_store_has_got_since(finished: Path) -> None:
-    """As the overviews that a run makes at its end."""
-    ds, handle = atlas.open(finished), open_store(finished)
-    root = finished / ROOT
-    root.write_bytes(root.read_bytes() + b"\n")
-    found = handle_of(ds)
-    assert found == handle and found.state != handle.state
-    assert handle_of(ds) is found
+def test_a_dataset_sees_what_its_store_has_got_since(tmp_path: Path) -> None:
+    """As the overviews that a run makes after the store."""
+    spec = atlas.Spec("two-mass", {"omega": {"start": 2.0, "stop": 4.0, "num": 200}, "b": [0.1, 0.2]})
+    ds = atlas.open(create_store(tmp_path / "plane.zarr", spec, (2, 64)))
+    assert not pyramid_of(handle_of(ds)).exists
+    Pyramid(open_store(tmp_path / "plane.zarr")).create()
+    assert pyramid_of(handle_of(ds)).exists
 
 
 def test_a_header_that_is_sent_takes_along_nothing_that_it_has_opened(finished: Path) -> None:

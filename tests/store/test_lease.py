@@ -73,13 +73,15 @@ def test_of_two_that_take_over_a_lease_at_once_the_later_one_holds_it(
 
     def move() -> None:
         for beat in range(8, 100):
-            time.sleep(0.02)
+            if refused.wait(0.02):
+                return
             whole(notes, LEASE_NAME, replace(later, beat=beat).pack())
 
-    moving = threading.Thread(target=move)
+    moving, refused = threading.Thread(target=move), threading.Event()
     monkeypatch.setattr(LocalBackend, "put", put)
     with pytest.raises(InputError, match="leased by another run"), hold_lease(notes, "out.zarr", timing=IMPATIENT):
         pass
+    refused.set()
     moving.join()
     assert read_lease_token(notes) == "later"
 

@@ -23,9 +23,9 @@ from atlas.overview.pyramid import GROUP
 from atlas.store.create import create_store
 from atlas.store.object_backend import LocalBackend
 from atlas.store.store import done_tiles, is_done, open_store
-from atlas.task.attempt import run_tile_job
+from atlas.store.tile_records import forget_records
 from atlas.task.store_ref import StoreRef
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.paths import ROOT
 from tests.planes import plane_of
 
@@ -64,6 +64,8 @@ def test_an_object_is_put_new_only_once_where_there_are_no_links(
 def test_a_tile_whose_regime_a_crash_has_emptied_is_solved_again(
     finished: Path, solved_plane: Path, client: Client
 ) -> None:
+    """Before the record of the tile was written: only then is a tile not yet flushed to the disk."""
+    forget_records(open_store(finished), [(1, 1)])
     (finished / "regime/c/1/1").write_bytes(b"")
     handle = open_store(finished)
     assert not is_done(handle, (1, 1))

@@ -17,9 +17,8 @@ from atlas.store.object_backend import ObjectBackend
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile
-from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.planes import plane_of
 from tests.support.fake_object_store import FakeObjectStore, object_store
 
@@ -77,12 +76,12 @@ def test_a_query_takes_at_most_twenty_requests_and_one_listing(server: FakeObjec
 
 
 @pytest.mark.parametrize("lost", [0, 1])
-def test_a_run_that_resumes_lists_tiles_and_notes_once(server: FakeObjectStore, client: Client, lost: int) -> None:
+def test_a_run_that_resumes_lists_tiles_once(server: FakeObjectStore, client: Client, lost: int) -> None:
     for _ in range(lost):
         drop_tile(open_store(URL), (0, 0))
     server.forget()
     assert atlas.run(plane_of(), URL, client=client).tiles_solved == lost
-    assert listings(server) == {"plane.zarr/regime/c/": 1, ".plane.zarr.run/": 1}
+    assert listings(server) == {"plane.zarr/regime/c/": 1}
 
 
 def test_a_tile_is_written_without_the_metadata_of_each_array(server: FakeObjectStore, client: Client) -> None:
@@ -106,7 +105,9 @@ def test_the_objects_of_a_new_store_are_put_many_at_once(served: FakeObjectStore
     assert seconds < 0.05 * served.counts["put"] / 2
 
 
-def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_note(served: FakeObjectStore) -> None:
+def test_a_tile_reads_nothing_but_the_claim_of_its_run_and_twice_the_attributes_of_the_root(
+    served: FakeObjectStore,
+) -> None:
     """After the first tile of a process, which read the handle and opened the arrays."""
     url = "s3://bucket/tiles.zarr"
     handle = create_store(ObjectBackend(url), plane_of(), (2, 3))
@@ -116,5 +117,5 @@ def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_
     served.forget()
     run_tile_job(replace(job, index=(1, 1)))
     read = Counter(request.key.removeprefix("bucket/") for request in served.requests if request.kind == "get")
-    assert read == {".tiles.zarr.run/claim": 1, ".tiles.zarr.run/started-1-1": 1}
+    assert read == {".tiles.zarr.run/claim": 1, "tiles.zarr/spec/zarr.json": 2}
     assert sum(served.counts.values()) <= 34

@@ -91,15 +91,19 @@ def test_a_cell_is_read_with_the_chunk_around_it_alone(whole: store.AtlasStore) 
     assert 0 < sum(taken) < size / 3
 
 
-@pytest.mark.parametrize("tile", ["0/0", "1/1"])
-def test_verify_finds_a_flipped_byte_anywhere_in_a_shard_and_names_it(whole: store.AtlasStore, tile: str) -> None:
-    path = whole.path / "largest" / "c" / tile
+@pytest.mark.parametrize("tile", [(0, 0), (1, 1)])
+def test_a_flipped_byte_anywhere_in_a_shard_is_found_and_verify_names_it(
+    whole: store.AtlasStore, tile: tuple[int, int]
+) -> None:
+    key = f"largest/c/{tile[0]}/{tile[1]}"
+    path = whole.path / key
     before = path.read_bytes()
     for byte in [0, 1, *np.linspace(2, len(before) - 1, 12).astype(int).tolist()]:
-        flip(path, byte)
-        named = [str(fault) for fault in verify(whole.path, sample=0).faults if "largest" in fault.what]
-        assert any(f"largest/c/{tile} is damaged" in text for text in named), byte
         path.write_bytes(before)
+        flip(path, byte)
+        with pytest.raises(ChunkError, match=f"{key} is damaged"):
+            read_tile(whole, tile)
+    assert any(f"{key} is damaged" in fault.what for fault in verify(whole.path, sample=0).faults)
 
 
 @pytest.mark.parametrize("tile", [(0, 0), (1, 1)])

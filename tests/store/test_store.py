@@ -12,9 +12,8 @@ from atlas.errors import ChunkError, InputError, RunError
 from atlas.store import create, groups, store
 from atlas.store.backend import LocalBackend
 from atlas.store.tiles import read_tile
-from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.planes import find, plane_of
 from tests.synthetic import complete, set_attribute, spec_of
 from workers.results import REGIMES, result_variables

@@ -23,9 +23,8 @@ from atlas.store.record_format import BY_REASON, RECORDS, WIDTH, digest_of
 from atlas.store.store import AtlasStore, done_mask, done_tiles, open_store
 from atlas.store.tile_records import RunTileRecords, TileRecords, complete_records, forget_records
 from atlas.store.tiles import drop_tile, read_tile, record_of, write_tile
-from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.chunk_keys import noted_keys
 from tests.planes import plane_of
 from tests.synthetic import complete, indices, put_record, results, spec_of

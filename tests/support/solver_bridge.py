@@ -1,6 +1,6 @@
 """Machines of the oracle in the solver's form, and single motions of the solver with their full record.
 
-``machines_of``  machines of tests/support/oracle/pieces as rows of HybridMachines
+``machines_of``  machines of tests/support/oracle/pieces as rows of Machines
 ``follow``       one motion through any number of periods, with missing modes built
 """
 
@@ -22,8 +22,8 @@ from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.state import mode_number_of_state
 from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.family import with_modes
-from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS, ModeCode
+from workers.model.machines import Machines
 from workers.model.mode_table import build_hybrid
 from workers.model.oscillator import Oscillator, take_one
 from workers.results import NO_REASON
@@ -37,14 +37,14 @@ STATES = {"open": OPEN, "held": ON, "engaged": ON, "detached": DETACHED}
 SLIPS = {"slip+": 1, "slip-": -1, "stick": 0}
 
 
-def machines_of(machines: Sequence[PiecewiseMachine], drift: int | None = None) -> HybridMachines:
+def machines_of(machines: Sequence[PiecewiseMachine], drift: int | None = None) -> Machines:
     """Machines of equal numbers of coordinates and elements, with contacts soft or rigid alike, forced with tau = 0.
 
     drift: the coordinate of all of them that may drift.
     """
     H = max([1, *(f.order for m in machines for p in m.phases for f in m.during(p).forces)])
     rows = [(*_fields_of(machine, H), -1.0 if drift is None else drift) for machine in machines]
-    return HybridMachines(*(np.ascontiguousarray(field, dtype=np.float64) for field in zip(*rows, strict=True)))
+    return Machines(*(np.ascontiguousarray(field, dtype=np.float64) for field in zip(*rows, strict=True)))
 
 
 def _fields_of(machine: PiecewiseMachine, H: int) -> tuple[Any, ...]:

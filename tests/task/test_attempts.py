@@ -3,10 +3,8 @@
 Truth: the bytes of the store before and after.
 """
 
-import os
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +14,10 @@ from atlas import Spec
 from atlas.errors import RunError
 from atlas.store.create import create_store
 from atlas.store.object_backend import LocalBackend
-from atlas.store.sidecar import sidecar_of
 from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
 from atlas.store.tiles import read_tile, write_tile
-from atlas.task import attempt
-from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.planes import plane_of
 from workers import tile as solving
 from workers.results import empty_results
@@ -103,7 +98,6 @@ def test_an_attempt_that_sleeps_while_another_does_its_tile_changes_no_bit(
     assert handle.backend.get_all(handle.backend.list_keys()) == before
     assert done_tiles(handle) == {(1, 1)}
     read_tile(handle, (1, 1))
-    assert not sidecar_of(handle.backend).exists("started-1-1")
 
 
 @pytest.mark.parametrize("side", [60, 128], ids=["chunks", "shards"])
@@ -128,44 +122,3 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
     write_tile(handle, (0, 0), arrays)
     assert not {*removed} - {chunk_key(variable, (0, 0)) for variable in handle.variables if variable.sparse}
     assert (0, 0) in done_tiles(open_store(handle.path))
-
-
-def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """From now on attempts at tiles do not live to remove their notes; the runs of those that solved one."""
-    solved: list[str] = []
-    monkeypatch.setattr(attempt, "solve_and_write", lambda job, _: solved.append(job.store_ref.lease))
-    monkeypatch.setattr(LocalBackend, "remove", lambda *_: None)
-    return solved
-
-
-def test_a_tile_whose_process_died_twice_is_not_tried_again_and_the_last_is_named(
-    handle: AtlasStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job, solved = job_of(handle), unfinished(monkeypatch)
-    for _ in range(2):
-        run_tile_job(job)
-    for _ in range(2):
-        with pytest.raises(RunError, match=rf"has died 2 times, the last one was .*, process {os.getpid()}$"):
-            run_tile_job(job)
-    assert len(solved) == 2
-
-
-def test_attempts_of_another_run_do_not_count(handle: AtlasStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Truth: a run that somebody ends in the middle of a tile is no sign that the tile is at fault."""
-    solved = unfinished(monkeypatch)
-    monkeypatch.setattr(RunJob, "handle", lambda job: handle)
-    for claim in ("first", "second", "third", "third"):
-        job = job_of(handle)
-        run_tile_job(replace(job, store_ref=replace(job.store_ref, lease=claim)))
-    assert solved == ["first", "second", "third", "third"]
-
-
-@pytest.mark.parametrize("note", [b"", b"{", b"[]", b'{"run": "", "number": "many", "process": "x"}'])
-def test_a_note_that_makes_no_sense_counts_as_none(
-    handle: AtlasStore, note: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    solved = unfinished(monkeypatch)
-    sidecar_of(handle.backend).put("started-1-1", note)
-    for _ in range(2):
-        run_tile_job(job_of(handle))
-    assert len(solved) == 2

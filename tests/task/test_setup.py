@@ -10,12 +10,11 @@ import pytest
 from distributed import Client
 
 import atlas
+from atlas.store import handle_cache
 from atlas.store.create import create_store
 from atlas.store.store import done_tiles, open_store
-from atlas.task import handle_cache
-from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, run_tile_job
 from tests.planes import plane_of
 from workers import tile as solving
 

@@ -18,9 +18,8 @@ from atlas.service.status import read_status
 from atlas.service.timing import Timing
 from atlas.store.store import find_store
 from atlas.task import tile_job as jobs
-from atlas.task.attempt import execute_job
 from atlas.task.store_ref import WorkerRefusedError
-from atlas.task.tile_job import RunJob
+from atlas.task.tile_job import RunJob, execute_job
 from tests.planes import plane_of
 from tests.service.test_faults import noted
 

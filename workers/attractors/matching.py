@@ -22,8 +22,8 @@ from workers.cell.interval import batch_of, begin, run
 from workers.kernel.cell_loops import physical_states, scale_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import FLIGHT, RUNNING, STATUS, Motion, motion_at
-from workers.model.hybrid_machines import about_centre
 from workers.model.hybrid_modes import ModeCode, code_of
+from workers.model.machines import about_centre
 from workers.model.natural_period import set_period
 from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, at_rows, many_of, map_fields, take_one
 from workers.orbit.attraction import falls_into, stays_nearer

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.interval import batch_of, begin, has_ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
-from workers.model.hybrid_machines import feeds, loses_nothing
+from workers.model.machines import feeds, loses_nothing
 from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, at_rows
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON

@@ -18,23 +18,19 @@ from workers.kernel.motion import FLIGHT, RUNNING, motions_at
 from workers.model.definition import Definition
 from workers.model.elements import Contact, Friction, Spring
 from workers.model.energy import energy
-from workers.model.hybrid_machines import HybridMachines, about_centre, is_mirror_symmetric, is_undriven
 from workers.model.hybrid_modes import ON
+from workers.model.machines import Machines, about_centre, is_mirror_symmetric, is_undriven
 from workers.model.measures import LAW_ERROR, RANGE_SHARE
 from workers.model.mode_table import build_hybrid
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.results import (
     APERIODIC,
-    CHAOTIC,
     CONSERVATIVE,
     DIES_AWAY,
-    LOCKING,
     NEVER_RECURS,
-    NO_IMPACT,
+    OF_MOTIONS,
     PERIODIC,
     PERIODS_SPENT,
-    QUASIPERIODIC,
-    REGULAR,
     UNDETERMINED,
     WORK_SPENT,
 )
@@ -49,7 +45,7 @@ measured."""
 MACHINES_PER_BLOCK = 512
 """Number of machines measured together: each has a table of its modes."""
 
-KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING, REGULAR)
+KNOWN = (*sorted(OF_MOTIONS), APERIODIC)
 """Classes of motion for which the results that only this system has are computed."""
 
 MIRRORED = 1e-6
@@ -97,7 +93,7 @@ def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array
     undecided = cells.results["regime"] == UNDETERMINED
     rows = np.flatnonzero(undecided & np.isin(reason, (PERIODS_SPENT, NEVER_RECURS, WORK_SPENT)))
     if len(rows):
-        machines = definition.hybrid({name: value[rows] for name, value in params.items()})
+        machines = definition.machines({name: value[rows] for name, value in params.items()})
         lossless = cells.conservative[rows]
         reason[rows[~lossless & is_undriven(machines)]] = DIES_AWAY
         reason[rows[lossless & (reason[rows] != NEVER_RECURS)]] = CONSERVATIVE
@@ -121,7 +117,7 @@ def with_modes(cells: CellBatch, rows: Rows, definition: Definition, values: Map
     A mode is a set of linear equations between two events. ``values`` (N,) are the parameters of the cells.
     """
     oscillators = cells.oscillators
-    return at_rows(oscillators, rows) if oscillators.has_modes else build_hybrid(definition.hybrid(values))[0]
+    return at_rows(oscillators, rows) if oscillators.has_modes else build_hybrid(definition.machines(values))[0]
 
 
 def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
@@ -156,7 +152,7 @@ def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> MeasurePlan:
     """Return the quantities to measure: measures, arguments of force laws, and the range of the pictured coordinate."""
     rows, orders, _ = definition.outputs(values)
-    mode_machines: HybridMachines = machines.table.machines
+    mode_machines: Machines = machines.table.machines
     more = [*_arguments(definition, mode_machines), (machines.gap_row, 0.0)]
     peaks = [*("peak" in measure.report for _, measure in definition.measures), *(True for _ in more)]
     return MeasurePlan(
@@ -171,7 +167,7 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
     )
 
 
-def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[Array, float]]:
+def _arguments(definition: Definition, machines: Machines) -> list[tuple[Array, float]]:
     """Return (row, order) of the argument of each friction law and each spring law that is an expression.
 
     row    (N, n) weights of the coordinates in the argument
@@ -243,9 +239,7 @@ def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals
     return variables
 
 
-def _of_machine(
-    machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
-) -> dict[str, NDArray[Any]]:
+def _of_machine(machines: Machines, readings: MeasureTotals, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
     """Return the results of whole machines by name: mirror symmetry, range of the pictured coordinate, loss in dampers.
 
     machines  N machines
@@ -267,7 +261,7 @@ def _of_machine(
 
 
 def _of_elements(
-    definition: Definition, machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
+    definition: Definition, machines: Machines, readings: MeasureTotals, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
     """Return the results of contacts and friction by name. A spring returns all energy, up to rounding.
 
@@ -294,7 +288,7 @@ def _of_elements(
 
 
 def _of_laws(
-    definition: Definition, machines: HybridMachines, readings: MeasureTotals, values: Mapping[str, Array]
+    definition: Definition, machines: Machines, readings: MeasureTotals, values: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Return the results of force laws that are expressions, by name: how far their range was used, and error bounds.
 

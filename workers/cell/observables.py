@@ -132,7 +132,7 @@ def observe_orbits(
     Values are NaN, and counts 0, if an orbit cannot be followed.
     """
     observables = observables_of(observed_by, definition)
-    machines, reasons = build_hybrid(definition.hybrid(values))
+    machines, reasons = build_hybrid(definition.machines(values))
     begun, reasons = begin(machines, reasons, states)
     motions = states, begun.mode, periods, np.ones(len(states), dtype=bool)
     observed, complete = record_observables(

@@ -7,8 +7,8 @@ import numpy as np
 from workers.cell.cell_batch import CellBatch
 from workers.cell.interval import batch_of, run
 from workers.cell.outcome import put_periodic
-from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import OPEN, SIGNALS, ModeCode, build_modes
+from workers.model.machines import Machines
 from workers.model.oscillator import COLUMN, NUMBER, Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
@@ -111,7 +111,7 @@ def has_coexisting_orbit(cells: CellBatch, rows: Rows) -> Mask:
     return np.asarray(cells.orbits.near[rows] | (damped & stays_inside) | can_rest)
 
 
-def moves_freely(machines: HybridMachines) -> Mask:
+def moves_freely(machines: Machines) -> Mask:
     """Return the mask of machines with a damped steady motion inside all stops.
 
     The mask is False for machines with friction, or with phases that change more than contacts, since their motion is
@@ -132,7 +132,7 @@ def moves_freely(machines: HybridMachines) -> Mask:
     return np.asarray(free & np.all(inside, axis=1))
 
 
-def rests_alone(machines: HybridMachines) -> Mask:
+def rests_alone(machines: Machines) -> Mask:
     """Return the mask of single masses to which a rigid stop can stick.
 
     Force and load press the mass on the stop at some phase, or springs may do so.

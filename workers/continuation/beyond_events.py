@@ -43,8 +43,8 @@ from workers.continuation.orbit_from_motion import record_orbit, reduce_symmetry
 from workers.continuation.orbits import comparison_states, continued_to, many_of, states_at_sections
 from workers.continuation.pseudo_arclength import tangent_at
 from workers.model.family import NoOscillatorError
-from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import SIGNALS
+from workers.model.machines import Machines
 from workers.model.oscillator import Array
 
 LIFT_OFF = "lift_off"
@@ -97,7 +97,7 @@ def asks_multipliers(equations: ExtendedSystem) -> bool:
     return any(condition.kind in OF_MULTIPLIERS for condition in equations.conditions)
 
 
-def is_smooth(machine: HybridMachines, event: Event) -> bool:
+def is_smooth(machine: Machines, event: Event) -> bool:
     """Return True if multipliers are continuous where the sequence of an orbit's events changes.
 
     ``machine`` is a single machine in a batch.

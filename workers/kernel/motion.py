@@ -11,8 +11,8 @@ from workers.kernel.borrow import row_type
 from workers.kernel.elementary import sin_cos
 from workers.kernel.external import FLOATS, INTEGERS, load
 from workers.kernel.jit import inline_always, kernel
-from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import FLYING, OF_PIECES
+from workers.model.machines import Machines
 from workers.model.mode_table import no_table
 from workers.model.oscillator import GuardedFlow, Oscillator, empty, map_fields
 
@@ -127,9 +127,9 @@ OSCILLATOR, RIGID = (
 modes."""
 
 
-@typeof_impl.register(HybridMachines)
-def _(machines: HybridMachines, context: Any) -> types.Type:
-    """Hide HybridMachines from kernels, where they are None.
+@typeof_impl.register(Machines)
+def _(machines: Machines, context: Any) -> types.Type:
+    """Hide Machines from kernels, where they are None.
 
     From these machines Python builds sets of linear equations.
 

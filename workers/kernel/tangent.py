@@ -22,6 +22,9 @@ MAX_SPREAD = 8.0
 """Maximum |log| of the stretch of a frame by flights and impacts before it is made orthonormal again. The limit keeps
 12 digits of the most contracted direction. One flight with its impact may exceed it."""
 
+MAX_SPREAD_OF_ONE = 100.0
+"""MAX_SPREAD of a frame of one vector: no other vector can drown it, and its square stays in range."""
+
 
 DEPENDENT = 1e-12
 """Share of a vector that may be rounding of a sum of other vectors, after an event that removes directions."""

@@ -15,15 +15,12 @@ from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, Sprin
 from workers.model.expression import Expression, Matrix, Row, evaluate_entries
 from workers.model.force import Harmonic, amplitudes, replace_first_harmonic, turns_of
 from workers.model.free_flight import ULPS
-from workers.model.hybrid_machines import HybridMachines
+from workers.model.machines import Machines
 from workers.model.measures import ORDERS, Measures
 from workers.model.natural_period import natural_frequency
-from workers.model.oscillator import Array, SingleContactMachines
+from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA, PHASE, TAU
 from workers.model.smooth import STEPS, gauss_angles, of_halves, starts_of_halves
-
-MATRICES = ("mass", "damping", "stiffness")
-OF_FORCE = ("force_sin", "force_cos")
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,7 @@ class Definition:
 
     @property
     def stop(self) -> Contact:
-        """The contact of a definition that has exactly one; ``machines`` is for such definitions only."""
+        """The only contact of a definition that has exactly one."""
         (contact,) = self.contacts
         return contact
 
@@ -78,6 +75,11 @@ class Definition:
     def pieces(self) -> int:
         """Number of phases of its machines in the place of each of its phases: two for each step."""
         return 1 if self.within is None else 2 * (self.steps or STEPS)
+
+    @property
+    def phase_count(self) -> int:
+        """Number of phases of its machines, with all steps."""
+        return len(self.phases or ALWAYS) * self.pieces
 
     @property
     def is_short_form(self) -> bool:
@@ -100,16 +102,7 @@ class Definition:
         return np.ascontiguousarray(evaluate_entries(self.picture_row, self._named(values))[: _count(values)])
 
     @np.errstate(all="ignore")
-    def machines(self, values: Mapping[str, Array]) -> SingleContactMachines:
-        """Return the machines with one rigid contact at values (N,) of each parameter."""
-        named, count = self._named(values), _count(values)
-        fields = {name: evaluate_entries(entries, named) for name, entries in self._entries.items()}
-        fields |= {name: symmetrised(fields[name]) for name in MATRICES}
-        fields |= zip(OF_FORCE, self._force(named, self.harmonics), strict=True)
-        return SingleContactMachines(**{name: np.ascontiguousarray(field[:count]) for name, field in fields.items()})
-
-    @np.errstate(all="ignore")
-    def hybrid(self, values: Mapping[str, Array]) -> HybridMachines:
+    def machines(self, values: Mapping[str, Array]) -> Machines:
         """Return the machines with all contacts, friction and phases at values (N,) of each parameter."""
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         contacts, friction, phases = self.contacts, self.friction, self.phases or ALWAYS
@@ -150,7 +143,7 @@ class Definition:
                 first = np.stack([level for level, _ in sides], axis=1)[:, None]
                 rubs[:, :, f, :, 0] = first
                 rubs[:, :, f, :, 1] = np.where(np.isnan(rubs[:, :, f, :, 1]), first, rubs[:, :, f, :, 1])
-        machines = HybridMachines(
+        machines = Machines(
             mass=symmetrised(evaluate_entries(self.mass, named)),
             damping=of_phases(lambda phase: phase.damping or self.damping, n, n),
             stiffness=of_phases(lambda phase: phase.stiffness or self.stiffness, n, n),
@@ -177,7 +170,7 @@ class Definition:
         for spring in self.springs:
             row = evaluate_entries(spring.row, named)
             machines = laws.sprung(machines, row, laws.two_sided(laws.vertices(spring, named)))
-        return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in machines))
+        return Machines(*(np.ascontiguousarray(field[:count]) for field in machines))
 
     def laws(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Contact | Friction | Spring, Array]]:
         """Yield (entry, element, vertices) for each piecewise linear force law, at values (N,) of each parameter.
@@ -291,16 +284,6 @@ class Definition:
         """Return frequency omega / turns and phase tau / turns (N,) of the whole force at values (N,) of parameters."""
         named, count = self._named(values), _count(values)
         return named[OMEGA][:count] / self.turns, named[TAU][:count] / self.turns
-
-    @property
-    def _entries(self) -> dict[str, Any]:
-        """Expressions or numbers of the fields of SingleContactMachines by name, without the force's amplitudes."""
-        lower, upper = stops(self.stop)
-        return {
-            **{name: getattr(self, name) for name in (*MATRICES, "load")},
-            "gap_row": self.stop.gap, "upper": upper, "lower": lower, "R": self.stop.restitution,
-            **{name: Expression(f"{name} / {float(self.turns)!r}") for name in (OMEGA, TAU)},
-        }  # fmt: skip
 
     @cached_property
     def turns(self) -> int:

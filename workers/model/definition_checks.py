@@ -12,9 +12,9 @@ from workers.model.elements import ALWAYS, PAD, RUB, Changes, Contact, Friction,
 from workers.model.entries import DefinitionError
 from workers.model.expression import Expression
 from workers.model.free_flight import UNSEEN
-from workers.model.hybrid_machines import GREATEST_R, HybridMachines, dependent, held_rows, yields
 from workers.model.hybrid_modes import ZERO_SHARE
 from workers.model.laws import SEGMENTS, segments_of
+from workers.model.machines import GREATEST_R, Machines, dependent, held_rows, yields
 from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
 
@@ -38,8 +38,8 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
             raise DefinitionError(f"system.period: found {period:g} at the defaults, must be above 0 and finite")
     for where, element, tables in definition.laws(defaults):
         _check_law(where, element, tables[0])
-    many = definition.hybrid(defaults)
-    machine = HybridMachines(*(field[0] for field in many))
+    many = definition.machines(defaults)
+    machine = Machines(*(field[0] for field in many))
     matrices = [("system.mass", machine.mass)]
     for key in ("damping", "stiffness"):
         matrices += [(_entry_in(definition, p, key), matrix) for p, matrix in enumerate(getattr(machine, key))]
@@ -82,7 +82,7 @@ def _entry_in(definition: Definition, p: int, key: str) -> str:
     return f"system.phases[{p}].{key}" if overridden else f"system.{key}"
 
 
-def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
+def _forces(definition: Definition, machine: Machines) -> Iterator[tuple[str, Array]]:
     """Yield (entry, values) for load and force of each phase; the entry is the key of the definition."""
     for p, load in enumerate(machine.load):
         yield _entry_in(definition, p, "load"), load
@@ -92,7 +92,7 @@ def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[s
             yield from ((f"{where} of order {order}", row) for order, row in zip(orders, part, strict=True))
 
 
-def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
+def _constants(definition: Definition, machine: Machines) -> Iterator[tuple[str, Array]]:
     """Yield (entry, values) for each constant of contacts and friction, also in each phase; the entry is its key."""
     for c, contact in enumerate(definition.contacts):
         if contact.rigid:
@@ -127,7 +127,7 @@ def _check_constant(where: str, number: float) -> None:
         raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 or more")
 
 
-def _check_damping(definition: Definition, machine: HybridMachines) -> None:
+def _check_damping(definition: Definition, machine: Machines) -> None:
     for p, phase in enumerate(definition.phases or ALWAYS):
         for c, contact in enumerate(definition.contacts):
             damping = machine.contact_constants[p, c, 1]
@@ -137,7 +137,7 @@ def _check_damping(definition: Definition, machine: HybridMachines) -> None:
                 raise DefinitionError(f"{where}: found {damping:g} at the defaults, {right}")
 
 
-def _check_static(definition: Definition, machine: HybridMachines) -> None:
+def _check_static(definition: Definition, machine: Machines) -> None:
     for piece, (p, phase) in enumerate(_phases(definition)):
         for f, friction in enumerate(definition.friction):
             for kinetic, static, _ in machine.friction_constants[piece, f]:
@@ -206,7 +206,7 @@ def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array])
             )
 
 
-def _check_stops(definition: Definition, machine: HybridMachines) -> None:
+def _check_stops(definition: Definition, machine: Machines) -> None:
     for c, (lower, upper) in enumerate(machine.stops[: len(definition.contacts)]):
         if not lower < upper:
             raise DefinitionError(
@@ -245,7 +245,7 @@ def _check_mass(mass: Array) -> None:
         raise DefinitionError(f"system.mass: found {_shown(mass)} at the defaults, is singular; must have an inverse")
 
 
-def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
+def _check_yields(rows: dict[str, Array], many: Machines) -> None:
     if yields(many)[0]:
         return
     for where, row in rows.items():
@@ -262,7 +262,7 @@ def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
     )
 
 
-def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
+def _check_free_motions(definition: Definition, machine: Machines, where: str, stiffness: Array) -> None:
     """Raise DefinitionError unless each free motion, K x = 0, changes a gap or is that of the drifting coordinate.
 
     ``stiffness`` (n, n) is K, and ``where`` its key in the definition. Two motions that change the same gap combine to

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from workers.model.hybrid_machines import HybridMachines
+from workers.model.machines import Machines
 from workers.model.oscillator import Array
 
 
-def energy(machines: HybridMachines, states: Array) -> tuple[Array, Array]:
+def energy(machines: Machines, states: Array) -> tuple[Array, Array]:
     """Return the energy (N,) of N machines in physical states (N, 2n), and the sum (N,) of the moduli of its terms.
 
     x' M x / 2 + x K x / 2 - load x, and of each soft contact or spring at depth d the integral of its force from 0 to

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free_flight import centred, structure_of, unbalanced
-from workers.model.hybrid_machines import HybridMachines, hybrid_faults, with_one_contact
 from workers.model.hybrid_modes import HybridModes, ModeCode, build_modes_at, structures_of
+from workers.model.machines import Machines, faults
 from workers.model.mode_table import ContactElements, build_hybrid, elements_of
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.model.system import System
@@ -42,7 +42,7 @@ class OrbitMachines:
     elements: ContactElements
     rest: Array
     make: Callable[[ModeCode], HybridModes]
-    describe: Callable[[], HybridMachines]
+    describe: Callable[[], Machines]
     build: Callable[[], Oscillator]
     known: dict[ModeCode, HybridModes] = field(default_factory=dict)
 
@@ -56,7 +56,7 @@ class OrbitMachines:
         return self.known[code]
 
     @cached_property
-    def machines(self) -> HybridMachines:
+    def machines(self) -> Machines:
         """Matrices, force, contacts and friction of the machines as arrays."""
         return self.describe()
 
@@ -96,7 +96,7 @@ def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, .
     return _MachineFactory(system, fixed, free)
 
 
-def with_modes(machines: HybridMachines) -> OrbitMachines:
+def with_modes(machines: Machines) -> OrbitMachines:
     """Return machines with their modes, the linear equations between events, which are built at their first use."""
     return _MachineParts(machines, np.zeros((len(machines.omega), machines.dimension))).at(machines.omega, machines.tau)
 
@@ -104,14 +104,14 @@ def with_modes(machines: HybridMachines) -> OrbitMachines:
 class _MachineParts:
     """Machines apart from forcing frequency and phase; their states are counted from ``rest`` (N, 2n)."""
 
-    def __init__(self, machines: HybridMachines, rest: Array) -> None:
+    def __init__(self, machines: Machines, rest: Array) -> None:
         self.machines, self.rest = machines, rest
         self.structures = cache(lambda code: structures_of(machines, code))
 
     @cached_property
     def reasons(self) -> NDArray[np.int8]:
-        """Code (N,) of the reason why each machine is invalid, NO_REASON if it is valid, see hybrid_faults."""
-        return hybrid_faults(self.machines)
+        """Code (N,) of the reason why each machine is invalid, NO_REASON if it is valid, see faults."""
+        return faults(self.machines)
 
     @cached_property
     def elements(self) -> ContactElements:
@@ -156,21 +156,20 @@ class _MachineFactory:
         reasons = np.where(known, parts.reasons, OUT_OF_DOUBLES).astype(np.int8)
         return machines, self.system.out_of_range(values, reasons)
 
-    def from_rest(self, values: Mapping[str, Array]) -> tuple[HybridMachines, Array]:
+    def from_rest(self, values: Mapping[str, Array]) -> tuple[Machines, Array]:
         """Return machines with stops counted from a rest position, and the state of rest (N, 2n).
 
         ``values`` (N,) are those of each parameter. Machines with more elements than one rigid contact are counted from
         0. Counting from a rest far from the origin would cost digits, and hide that a motion is its own mirror image.
         """
-        definition = self.system.definition
+        machines = self.system.definition.machines(values)
+        N, n = len(machines.omega), machines.dimension // 2
         if self.system.has_modes:
-            machines = definition.hybrid(values)
-            return machines, np.zeros((len(machines.omega), machines.dimension))
-        single = definition.machines(values)
-        structure = structure_of(single)
-        at_rest = centred(structure, single)
-        (N, n), blocks = single.gap_row.shape, at_rest.loading.rest
-        rest = (structure.flow.modes.to_physical @ blocks.reshape(N, 2 * n, 1))[..., 0]
+            return machines, np.zeros((N, 2 * n))
+        structure = structure_of(machines)
+        at_rest = centred(structure, machines)
+        rest = (structure.flow.modes.to_physical @ at_rest.loading.rest.reshape(N, 2 * n, 1))[..., 0]
         rest[:, n:] = 0.0
         stops = np.stack([-at_rest.b_lower, at_rest.b_upper], axis=1)
-        return with_one_contact(single, unbalanced(structure, at_rest, single)[0], stops), rest
+        load, _ = unbalanced(structure, at_rest, machines)
+        return machines._replace(load=load[:, None], stops=stops[:, None]), rest

@@ -3,12 +3,12 @@
 Each oscillator depends on its own machine only, to the bit.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from workers.model.block_decomposition import BlockDecomposition, apply_stacked, split
+from workers.model.machines import Machines
 from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import (
     COLUMN,
@@ -18,7 +18,6 @@ from workers.model.oscillator import (
     Array,
     GuardedFlow,
     Mask,
-    SingleContactMachines,
     make_blocks,
     rates_of,
 )
@@ -27,10 +26,6 @@ from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE,
 UNSEEN = 1e-9
 """Share of a rigid or growing motion in the gap coordinate below which the motion counts as leaving the gap unchanged.
 The share is relative to its largest possible value."""
-
-OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
-"""Fields of SingleContactMachines that decide everything about free flight except the effect of the forcing frequency.
-"""
 
 RESONANT = 1e-8
 """Share of its terms below which the dynamic stiffness at the forcing frequency counts as resonance. The forced
@@ -102,20 +97,20 @@ class RestState(NamedTuple):
     unseen: Mask
 
 
-def structure_of(machines: SingleContactMachines) -> FlightStructure:
+def structure_of(machines: Machines) -> FlightStructure:
     """Return the part of the free flight of machines that does not depend on the forcing frequency.
 
     The guard, the number whose ends of range end the flight, is the gap coordinate. An impact moves the velocities
     along M^-1 g / (g.M^-1 g), with g the gap row.
     """
-    return _structure_of(*(getattr(machines, name) for name in OF_STRUCTURE))
+    return _structure_of(*machines.of_flight)
 
 
 @memoize_arrays
 def _structure_of(
     mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
 ) -> FlightStructure:
-    """Return ``structure_of`` for machines with these fields OF_STRUCTURE."""
+    """Return ``structure_of`` for machines with these arrays ``Machines.of_flight``."""
     accelerance = apply_stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
     inverse_gap_mass = np.vecdot(gap_row, accelerance)
     none = np.zeros_like(gap_row)
@@ -290,12 +285,12 @@ def phase_of(tau: Array) -> Array:
     return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
 
 
-def centred(structure: FlightStructure, machines: SingleContactMachines) -> RestState:
+def centred(structure: FlightStructure, machines: Machines) -> RestState:
     """Return the rest positions of machines with this free flight; balanced machines rest midway between their stops.
 
     The position of a rigid mode is counted from midway between the stops, or from the only stop.
     """
-    upper, lower, modes, loading = machines.upper, machines.lower, structure.flow.modes, structure.loading
+    (lower, upper), modes, loading = machines.stops[:, 0].T, structure.flow.modes, structure.loading
     rigid, even, unseen = modes.lam == 0.0, balanced(machines), np.zeros(len(upper), dtype=np.bool_)
     middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
@@ -320,19 +315,19 @@ def centred(structure: FlightStructure, machines: SingleContactMachines) -> Rest
     return RestState(loading._replace(rest=rest, load=load), b_upper, b_lower, unseen)
 
 
-def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleContactMachines) -> tuple[Array, Array]:
+def unbalanced(structure: FlightStructure, at_rest: RestState, machines: Machines) -> tuple[Array, Array]:
     """Return the part of the load that no rest position balances, and the velocities of the motion under this part.
 
     The load (N, n) drives a rigid mode. The constant velocities (N, n) belong to the damped motion from which states of
     flight are counted.
     """
-    n, modes = machines.gap_row.shape[1], structure.flow.modes
+    n, modes = machines.load.shape[2], structure.flow.modes
     drift = (modes.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
-    mass, damping = (np.ascontiguousarray(of.swapaxes(1, 2)) for of in (machines.mass, machines.damping))
+    mass, damping = (np.ascontiguousarray(of.swapaxes(1, 2)) for of in (machines.mass, machines.damping[:, 0]))
     return times(drift[:, n:], mass) + times(drift[:, :n], damping), drift[:, :n]
 
 
-def balanced(machines: SingleContactMachines) -> Mask:
+def balanced(machines: Machines) -> Mask:
     """Return the mask (N,) of machines in which y rests midway between both stops, or anywhere, to rounding.
 
     Symmetric motion needs such a rest. No force f is then needed to hold y in the middle m:
@@ -343,8 +338,9 @@ def balanced(machines: SingleContactMachines) -> Mask:
 
         |v| . (|load| + |K| |x|) + |s| (|g| . |x| + |upper| + |lower|)
     """
-    stiffness, row, load = machines.stiffness, machines.gap_row, machines.load
-    middle = 0.5 * (machines.upper + machines.lower)
+    _, _, stiffness, row, *_, load = machines.of_flight
+    lower, upper = machines.stops[:, 0].T
+    middle = 0.5 * (upper + lower)
     balances = np.isnan(middle) | (~np.any(load != 0.0, axis=1) & (middle == 0.0))  # NaN: both are infinite
     rows = np.flatnonzero(~balances & np.isfinite(middle))
     if not rows.size:
@@ -359,37 +355,12 @@ def balanced(machines: SingleContactMachines) -> Mask:
     both = apply_stacked(np.linalg.solve, right.shape, matrix, right)
     x, v = np.abs(both[:, :n, 0]), np.abs(both[:, :n, 1])
     f, s = np.abs(size * both[:, n]).T
-    ends = np.abs(machines.upper[rows]) + np.abs(machines.lower[rows])
+    ends = np.abs(upper[rows]) + np.abs(lower[rows])
     change = np.vecdot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (
         np.vecdot(np.abs(g), x) + ends
     )
     balances[rows] = f <= ULPS * np.finfo(np.float64).eps * change
     return balances
-
-
-def finite(record: Any) -> Mask:
-    """Return the mask (N,) of N items whose numbers are all finite; ``record`` has arrays with a row for each item."""
-    arrays = arrays_in(record)
-    if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
-        return np.ones(len(arrays[0]), dtype=np.bool_)
-    return np.asarray(np.isfinite(numbers_of(record)).all(axis=1))
-
-
-def numbers_of(record: Any) -> Array:
-    """Return all numbers of N items as one array, a row (N, .) for each; ``record`` has arrays with N rows."""
-    rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
-    return np.concatenate(rows, axis=1)
-
-
-def arrays_in(record: Any) -> list[Array]:
-    """Return all arrays of a record, a named tuple of arrays and further records."""
-    arrays = list[Array]()
-    for field in record:
-        if isinstance(field, tuple):
-            arrays += arrays_in(field)
-        elif field is not None:
-            arrays.append(field)
-    return arrays
 
 
 def derivative(row: Array, modes: BlockDecomposition) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from workers.model.block_decomposition import FREE, apply_stacked, split, symmetric
 from workers.model.free_flight import BlockFlow, BlockLoading, derivative_of, loading_of, sizes_of
 from workers.model.free_flight import mode_of as motion_in
-from workers.model.hybrid_machines import HybridMachines, along_contacts
+from workers.model.machines import Machines, along_contacts
 from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, Rows, at_rows, make_blocks
 
@@ -90,7 +90,7 @@ def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segm
     return ModeCode(number, tuple(reversed(states)), tuple(reversed(signs)))
 
 
-def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
+def pushing(machines: Machines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
     """Return stiffness, damping and preload (N,) of a soft contact's force.
 
     machines  the machines
@@ -102,7 +102,7 @@ def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array
     return stiffness + slope, damping, preload + level
 
 
-def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
+def resisting(machines: Machines, p: int, f: int, sign: int) -> tuple[Array, Array]:
     """Return kinetic level and slope (N,) of the force of friction f while it slides in phase p.
 
     ``sign`` is the slip's number in ModeCode, which decides the segment of the friction law.
@@ -138,6 +138,7 @@ class HybridModes(NamedTuple):
     drive         (N, n, H, 2) part of x'' that is the force itself
     lost          (N,) number of dimensions of the state that sticking removes
     trace         (N,) trace of M^-1 C of the mode, its contraction of volume
+    skew          (N,) see ``_skew``
     """
 
     blocks: Array
@@ -154,9 +155,10 @@ class HybridModes(NamedTuple):
     drive: Array
     lost: Array
     trace: Array
+    skew: Array
 
 
-OF_PIECES = HybridModes._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
+OF_PIECES = HybridModes._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2, 2])
 """Number of axes of each field of a record of several modes of many machines, one more than in HybridModes."""
 
 
@@ -185,7 +187,7 @@ class ModeStructure(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, NDArray[np.int64]]:
+def build_modes(machines: Machines, code: ModeCode) -> tuple[HybridModes, NDArray[np.int64]]:
     """Return the mode ``code``, a set of linear equations between two events, of machines, and its faults (N,).
 
     A fault is 0 if the mode is valid. RESONANT is undamped resonance. NO_FORM means that sticking rows depend on each
@@ -195,7 +197,7 @@ def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, 
 
 
 @np.errstate(all="ignore")
-def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, ModeStructure]]:
+def structures_of(machines: Machines, code: ModeCode) -> list[tuple[Rows, ModeStructure]]:
     """Return a list of (rows, structure): the part of a mode that does not depend on the forcing frequency.
 
     A mode is a set of linear equations between two events; ``rows`` are the machines with the same structure. Machines
@@ -225,7 +227,7 @@ def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tu
     )
 
 
-def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
+def structure_of_mode(machines: Machines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
     """Return the linear equations of a mode without the effect of the forcing frequency, for equal ``resting``.
 
     machines, code  the machines and the mode, with phase, contacts and friction
@@ -302,14 +304,29 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
     pieces = HybridModes(
         blocks, waves, sizes_of(waves, w), forced, rows, structure.direct, offset, structure.ends, to_blocks,
         to_physical, structure.acceleration, structure.drive, structure.lost,
-        np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
+        np.sum(2.0 * flow[..., COLUMN.eta], axis=1), _skew(to_blocks, to_physical, flow[..., COLUMN.metric], omega),
     )  # fmt: skip
     wrong = structure.undriven | structure.flow.modes.inseparable
     wrong |= ~resonant & ~(np.isfinite(to_blocks) & np.isfinite(to_physical)).all(axis=(1, 2))
     return HybridModes(*map(np.ascontiguousarray, pieces)), np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
 
-def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
+def _skew(to_blocks: Array, to_physical: Array, metric: Array, omega: Array) -> Array:
+    """Return logs (N,) of bounds of the condition number of a change of norm: how unevenly it stretches states.
+
+    The change is from (omega x, v), of Euclidean norm, to the energy norm of the blocks, with weights ``metric`` (N, n)
+    of h^2. A condition number is at most what its Frobenius norms, with the equal shares of 2n - 2 directions taken
+    out, give for two directions.
+    """
+    (N, n), one = metric.shape, np.ones_like(metric)
+    energy = np.stack([np.sqrt(metric), one], axis=2).reshape(N, 2 * n)
+    speed = np.concatenate([one * omega[:, None], one], axis=1)
+    to_energy = np.sum((to_blocks * energy[:, :, None] / speed[:, None]) ** 2, axis=(1, 2))
+    from_energy = np.sum((to_physical * speed[:, :, None] / energy[:, None]) ** 2, axis=(1, 2))
+    return np.asarray(np.arccosh(np.maximum(0.5 * (np.sqrt(to_energy * from_energy) - (2 * n - 2)), 1.0)))
+
+
+def _resting(machines: Machines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
     """Return groups of machines with equal friction on sticking contacts, and the group (N,) of each machine.
 
     A group is a mapping: from each friction that sticks on the row of a sticking rigid contact to that contact. Whether
@@ -342,7 +359,7 @@ def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
 
 
 def _signals(
-    machines: HybridMachines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
+    machines: Machines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
 ) -> tuple[Array, Array, Array]:
     """Return the signals of a mode: weights (N, G, 2n + 1), force parts (N, G, H, 2) and ranges (N, G, 2).
 

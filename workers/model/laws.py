@@ -3,7 +3,7 @@
     law = [[x_0, F_0], [x_1, F_1], ...]
 
 The last segment has no end; the first segment of a spring has none either. The law of a contact is a function of its
-depth, that of friction of |v|, from 0 on. The value at 0 is the preload or the kinetic level; HybridMachines holds the
+depth, that of friction of |v|, from 0 on. The value at 0 is the preload or the kinetic level; Machines holds the
 increment of the law from that value on. The law of a spring is a function of y. Its segment at y = 0 goes into the
 stiffness and load of the machine. The ends of that segment are stops of a contact that adds the rest of the law.
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from workers.model.elements import Contact, Friction, Spring
 from workers.model.expression import Expression, evaluate_entries
-from workers.model.hybrid_machines import HybridMachines
+from workers.model.machines import Machines
 from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA
 from workers.model.piecewise_fit import POINTS, fewest
@@ -31,7 +31,7 @@ class SpringTables(NamedTuple):
 
     stiffness, force  (N,) stiffness, and force at y = 0, of the segment with y = 0
     stops             (N, 2) ends of that segment
-    law               (N, 2, S, 3) further force beyond these ends, as in HybridMachines.contact_laws
+    law               (N, 2, S, 3) further force beyond these ends, as in Machines.contact_laws
     """
 
     stiffness: Array
@@ -158,7 +158,7 @@ def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
     table  (N, V, 2) vertices, argument and force
     falls  True if the law may fall, as that of friction may
 
-    Segments are those of HybridMachines.contact_laws. If the law may fall, no force may be negative and the last
+    Segments are those of Machines.contact_laws. If the law may fall, no force may be negative and the last
     segment may not fall. Otherwise no segment may fall. The segments of any other law start at NaN.
     """
     x, slope, rises = _chords(table)
@@ -205,7 +205,7 @@ def two_sided(table: Array) -> SpringTables:
     return SpringTables(stiffness, force, stops, law)
 
 
-def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> HybridMachines:
+def sprung(machines: Machines, row: Array, spring: SpringTables) -> Machines:
     """Return machines with one more spring on y = row . x, for rows (N, n).
 
     Its segment with y = 0 is added to stiffness and load; the rest of its law becomes a soft contact.

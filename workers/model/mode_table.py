@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from workers.model.block_decomposition import FREE as RIGID
 from workers.model.block_decomposition import apply_stacked, interleaved, symmetric, undamped_modes
-from workers.model.free_flight import finite, grows_unseen, phase_of, turns_too_far
-from workers.model.hybrid_machines import (
-    HybridMachines,
+from workers.model.free_flight import grows_unseen, phase_of, turns_too_far
+from workers.model.hybrid_modes import OF_PIECES, OPEN, HybridModes, ModeCode, build_modes, code_of, null_space
+from workers.model.machines import (
+    Machines,
     about_centre,
     along_contacts,
     definite,
-    hybrid_faults,
+    faults,
     is_mirror_symmetric,
 )
-from workers.model.hybrid_modes import OF_PIECES, OPEN, HybridModes, ModeCode, build_modes, code_of, null_space
 from workers.model.oscillator import (
     COLUMN,
     NUMBER,
@@ -34,6 +34,7 @@ from workers.model.oscillator import (
     Rows,
     at_rows,
     empty,
+    finite,
     growth_of,
     make_blocks,
     rates_of,
@@ -42,13 +43,14 @@ from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
 
 class ContactElements(NamedTuple):
-    """Contacts and friction of N machines as compiled kernels need them: fields of HybridMachines, and derived fields.
+    """Contacts and friction of N machines as compiled kernels need them: fields of Machines, and derived fields.
 
     kick               (N, C, n) M^-1 g / (g M^-1 g), the direction of an impact, g the weights of displacements
     weight             (N, C) 1 / (g M^-1 g) of each contact
     friction_kick      (N, F, n) as kick, of each friction's row
     static_is_kinetic  (N, P, F, 2) 1 if static = kinetic, else 0, for v < 0 and v > 0
     along              (N, F, C) the factor a if a friction's row is a times a contact's row, else 0
+    turned             (N, C) see ``_turned``
     depths             (N, C, 2, S) starts of the segments of contact laws, infinite if missing
     speeds             (N, F, 2, S') starts of the segments of friction laws, infinite if missing
     """
@@ -66,11 +68,12 @@ class ContactElements(NamedTuple):
     along: Array
     starts: Array
     counted: Array
+    turned: Array
     depths: Array
     speeds: Array
 
 
-def elements_of(machines: HybridMachines) -> ContactElements:
+def elements_of(machines: Machines) -> ContactElements:
     """Return the contacts and friction of machines as the compiled kernels need them."""
     inverse_mass = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
 
@@ -78,16 +81,32 @@ def elements_of(machines: HybridMachines) -> ContactElements:
         pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]
         return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
 
+    kick = along(machines.row)
     weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
     even = np.ascontiguousarray(
         (machines.friction_constants[..., 0] == machines.friction_constants[..., 1]).astype(np.float64)
     )
     return ContactElements(
-        machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
+        machines.row, kick, weight, machines.stops, machines.R, machines.soft,
         machines.friction_rows, along(machines.friction_rows), machines.belt, even, along_contacts(machines),
         machines.starts,
-        machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
+        machines.counted, _turned(machines, kick),
+        *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
     )  # fmt: skip
+
+
+def _turned(machines: Machines, kick: Array) -> Array:
+    """Return logs (N, C) of the condition numbers of x -> x - (1 + R) kick (row . x), the effect of an impact.
+
+    kick  (N, C, n) see ContactElements
+
+    It is 1 for soft contacts. Besides the plane of ``kick`` and ``row`` nothing changes; in it the squares of both
+    stretches add up to the square of the Frobenius norm, and their product is R.
+    """
+    R = np.where(machines.soft > 0.0, 1.0, np.maximum(machines.R, 1e-300))
+    uneven = np.vecdot(kick, kick) * np.vecdot(machines.row, machines.row) - 1.0
+    squares = 1.0 + R * R + np.where(machines.soft > 0.0, 0.0, (1.0 + R) ** 2 * np.maximum(uneven, 0.0))
+    return np.asarray(np.arccosh(np.maximum(squares / (2.0 * R), 1.0)))
 
 
 class ModeTable(NamedTuple):
@@ -115,7 +134,7 @@ class ModeTable(NamedTuple):
     omega: Array
     tau: Array
     drifts: Array
-    machines: HybridMachines
+    machines: Machines
 
     def without_modes(self, N: int) -> "ModeTable":
         """Return the table of N machines with one rigid contact, which has no room for modes; see ``no_table``."""
@@ -141,7 +160,7 @@ class ModeTable(NamedTuple):
         return rows
 
 
-_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 4, 4])
+_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 4, 3, 2, 2, 2, 4, 4])
 _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 """Number of axes of each field of a ModeTable, for many machines."""
 
@@ -166,7 +185,7 @@ MODES_OF_PHASE = 4
 
 
 @np.errstate(all="ignore")
-def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
+def build_hybrid(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """Return machines with modes in the form for compiled kernels, and codes (N,) of the reasons why one is invalid.
 
     The code of a valid machine is NO_REASON. No mode, a set of linear equations between two events, is built yet.
@@ -236,11 +255,13 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         sticking=empty(OF_PIECES, N),
         table=table,
     )
-    reasons = hybrid_faults(machines)
+    reasons = faults(machines)
     reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
-    fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
+    fit = finite(
+        (to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none, turned=none))
+    )
     fit &= np.all(elements.weight > 0.0, axis=1)  # else the inverse is infinite: no contact moves anything
     return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
@@ -274,7 +295,7 @@ def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
     return np.where(growth > 0.0, np.where(np.isfinite(least), least, 0.0), decays)
 
 
-def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
+def _unheld(machines: Machines, open_pieces: HybridModes) -> Mask:
     """Return the mask (N,) of machines with a growing motion that no contact and no friction sees.
 
     Such a motion moves no contact's coordinate and slides no friction. ``open_pieces`` are the equations of motion with
@@ -286,7 +307,7 @@ def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
     return grows_unseen(open_pieces.blocks[:, 0], open_pieces.to_physical, rows)
 
 
-def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:
+def _unforced_swing(machines: Machines, lam: Array, modes: Array, weight: Array) -> Array:
     """Return the typical sizes (N, n, 2) of h and h' in each decoupled equation of machines without a force.
 
     lam     (N, n) squared frequencies of the undamped modes

@@ -4,6 +4,7 @@ The equations of motion are decoupled into blocks, h'' + 2 eta h' + lam h = load
 masses and harmonics. A record of many oscillators has one more leading axis in each field.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
@@ -326,38 +327,6 @@ class Oscillator(NamedTuple):
         return -_plain(self.head[..., HEAD.bottom])
 
 
-class SingleContactMachines(NamedTuple):
-    """N machines M x'' + C x' + K x = force + load with stops on y = gap_row . x, lower <= y <= upper.
-
-    mass, damping, stiffness  (N, n, n) matrices
-    gap_row, load             (N, n) row of the gap coordinate, and constant load
-    force_sin, force_cos      (N, H, n) amplitudes of the force
-    omega, tau                (N,) forcing frequency, and forcing phase at the sections t = k T
-    upper, lower              (N,) stops; a stop at infinity does not exist
-    R                         (N,) coefficient of restitution
-
-    The force is sum_k force_sin_k sin(k phi) + force_cos_k cos(k phi), k = 1...H, with phi = omega t + tau.
-    """
-
-    mass: Array
-    damping: Array
-    stiffness: Array
-    gap_row: Array
-    force_sin: Array
-    force_cos: Array
-    load: Array
-    omega: Array
-    tau: Array
-    upper: Array
-    lower: Array
-    R: Array
-
-    @property
-    def force(self) -> Any:
-        """The force (N, H, n) as amplitudes of e^(i k phi), whose imaginary part counts."""
-        return self.force_sin + 1j * self.force_cos
-
-
 def empty(axes: Any, N: int) -> Any:
     """Return a named tuple of arrays for N machines without numbers: every axis after the first has length 0.
 
@@ -398,3 +367,28 @@ def many_of(record: Given) -> Given:
     """Return one machine or motion as a record of many with a single row, with views of the same arrays."""
     many: Given = map_fields(record, lambda field: np.asarray(field)[None])
     return many
+
+
+def finite(record: Any) -> Mask:
+    """Return the mask (N,) of N items whose numbers are all finite; ``record`` has arrays with a row for each item."""
+    arrays = arrays_in(record)
+    if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
+        return np.ones(len(arrays[0]), dtype=np.bool_)
+    return np.asarray(np.isfinite(numbers_of(record)).all(axis=1))
+
+
+def numbers_of(record: Any) -> Array:
+    """Return all numbers of N items as one array, a row (N, .) for each; ``record`` has arrays with N rows."""
+    rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
+    return np.concatenate(rows, axis=1)
+
+
+def arrays_in(record: Any) -> list[Array]:
+    """Return all arrays of a record, a named tuple of arrays and further records."""
+    arrays = list[Array]()
+    for field in record:
+        if isinstance(field, tuple):
+            arrays += arrays_in(field)
+        elif field is not None:
+            arrays.append(field)
+    return arrays

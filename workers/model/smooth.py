@@ -16,7 +16,7 @@ import numpy as np
 
 from workers.model.block_decomposition import apply_stacked
 from workers.model.entries import DefinitionError
-from workers.model.hybrid_machines import MIDWAY, HybridMachines
+from workers.model.machines import MIDWAY, Machines
 from workers.model.oscillator import Array
 
 SMOOTH_PHASES = 64
@@ -62,7 +62,7 @@ def starts_of_halves(starts: Array, steps: int) -> Array:
     return np.concatenate([inner.reshape(len(starts), -1), starts[:, -1:]], axis=1)
 
 
-def fewest_steps(make: Callable[[int], HybridMachines], phases: int, within: float) -> int:
+def fewest_steps(make: Callable[[int], Machines], phases: int, within: float) -> int:
     """Return the least number of steps in each phase for which ``errors`` of machines are within a bound.
 
     ``make`` returns the machines, of which the first is that of the defaults, for a number of steps. Machines without
@@ -84,7 +84,7 @@ def fewest_steps(make: Callable[[int], HybridMachines], phases: int, within: flo
 
 
 @np.errstate(all="ignore")
-def errors(make: Callable[[int], HybridMachines], steps: int) -> Array:
+def errors(make: Callable[[int], Machines], steps: int) -> Array:
     """Return the error (N,) of the linear machines of ``make`` with this number of steps in each phase.
 
     The linear machines are those with all contacts open, and with all soft contacts closed while friction slides. The
@@ -113,7 +113,7 @@ def errors(make: Callable[[int], HybridMachines], steps: int) -> Array:
     return worst
 
 
-def _flows(machines: HybridMachines, inverse_mass: Array, rate: Array, closed: bool) -> Array:
+def _flows(machines: Machines, inverse_mass: Array, rate: Array, closed: bool) -> Array:
     """Return the flows (N, P, 2n + 1, 2n + 1) of (x, v / rate, 1) from the section to the end of each phase."""
     K, C, load = machines.stiffness, machines.damping, machines.load
     n, scale = load.shape[2], rate[:, None, None, None]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.model.build import build, faults
+from workers.model.build import build
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.definition_checks import check_at_defaults
@@ -152,7 +152,7 @@ class System:
             return self
         definition = replace(self.definition, within=within, steps=None)
         values, phases = usual_values(self.parameters, self.axes), len(definition.phases or ALWAYS)
-        steps = fewest_steps(lambda steps: replace(definition, steps=steps).hybrid(values), phases, within)
+        steps = fewest_steps(lambda steps: replace(definition, steps=steps).machines(values), phases, within)
         return replace(self, definition=replace(definition, steps=steps))
 
     def step_errors(self, values: Mapping[str, Array] | None = None) -> Array:
@@ -162,7 +162,7 @@ class System:
         """
         definition = self.definition
         values = usual_values(self.parameters, self.axes) if values is None else values
-        return errors(lambda steps: replace(definition, steps=steps).hybrid(values), definition.pieces // 2)
+        return errors(lambda steps: replace(definition, steps=steps).machines(values), definition.pieces // 2)
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
@@ -279,13 +279,9 @@ class System:
 
         The code of a valid oscillator is NO_REASON.
         """
-        if self.has_modes:
-            hybrids, reasons = build_hybrid(self.definition.hybrid(values))
-            return hybrids, self.out_of_range(values, reasons)
         machines = self.definition.machines(values)
-        oscillators, reasons = build(machines)
-        wrong = faults(machines)
-        return oscillators, self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
+        oscillators, reasons = build_hybrid(machines) if self.has_modes else build(machines)
+        return oscillators, self.out_of_range(values, reasons)
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
         """Return the codes ``reasons`` (N,), with OUT_OF_RANGE where a value (N,) of a parameter is out of its range.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
 from atlas.orbits.curves.cell_orbits import CellOrbits
-from atlas.orbits.curves.following import PlaneEvent, bounds_stability, events_towards
+from atlas.orbits.curves.following import PlaneEvent, bounds_stability, follow_towards
 from atlas.orbits.curves.plane import CurvePlane, plane_of
 from atlas.orbits.curves.table import KINDS
 from atlas.query.open import handle_of
@@ -83,7 +83,7 @@ def _first(
     def ends_search(event: Event) -> bool:
         return bounds_stability(event) and kind in (None, GRAZING if event.kind in LOST else event.kind)
 
-    events = events_towards(orbits, orbit, point, axis, end, RESOLUTION, ends_search)
+    _, events = follow_towards(orbits, orbit, point, axis, end, RESOLUTION, ends_search)
     yield from [event for event in events if kind in (None, event.kind)][:1]
 
 

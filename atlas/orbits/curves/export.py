@@ -2,7 +2,8 @@
 
 import json
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from atlas.argument_checks import validate_path
 from atlas.orbits.curves.queries import to_frames
@@ -16,8 +17,9 @@ def export(curves: Curves, path: str | Path) -> None:
     """Write the curves to a file, completely or not at all.
 
     CSV has the points, then the points of codimension two, as in ``atlas.orbits.curves.queries.to_frames``, with
-    numbers in their shortest exact form. JSON has one object, as ``as_json``. Raise InputError for another suffix, and
-    for a path that cannot be written.
+    numbers in their shortest exact form. JSON has one object: ``axes``, ``curves`` with the fields of ``Curve`` and of
+    ``CodimTwoPoint`` by name, and ``report``. Raise InputError for another suffix, and for a path that cannot be
+    written.
     """
     target = validate_path(path)
     if check_target(target, FORMATS) == ".csv":
@@ -26,27 +28,7 @@ def export(curves: Curves, path: str | Path) -> None:
         points, corners = to_frames(curves)
         write_table(target, pd.concat([points, corners.drop(columns="point")]) if len(corners) else points)
         return
+    listed = [{**vars(curve), "corners": [corner._asdict() for corner in curve.corners]} for curve in curves]
+    content = {"axes": curves.axes, "curves": listed, "report": dict(curves.report)}
     with replace_on_success(target) as unfinished:
-        unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", encoding="utf-8")
-
-
-def as_json(curves: Curves) -> dict[str, Any]:
-    """Return the curves as dicts and lists for JSON: ``axes``, ``curves`` with their fields by name, and ``report``."""
-    return {
-        "axes": list(curves.axes),
-        "curves": [
-            {
-                "kind": curve.kind,
-                "period": curve.period,
-                "impacts_upper": curve.impacts_upper.tolist(),
-                "impacts_lower": curve.impacts_lower.tolist(),
-                "symmetric": curve.symmetric,
-                "ends": list(curve.ends),
-                "points": curve.points.tolist(),
-                "unstable": curve.unstable.tolist(),
-                "corners": [{"kind": corner.kind, "position": [corner.x, corner.y]} for corner in curve.corners],
-            }
-            for curve in curves
-        ],
-        "report": dict(curves.report),
-    }
+        unfinished.write_text(json.dumps(content, allow_nan=False, default=np.ndarray.tolist) + "\n", encoding="utf-8")

@@ -129,7 +129,7 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
     low, high = plane.window[plane.axes[axis]]
     end = float(np.clip(start_values[axis] + cells * (target_values[axis] - start_values[axis]), low, high))
     try:
-        run, events = _towards(orbits, orbit, start_values, axis, end, min(STEP, 2.0 * STEP / cells))
+        run, events = follow_towards(orbits, orbit, start_values, axis, end, min(STEP, 2.0 * STEP / cells))
     except (ValueError, np.linalg.LinAlgError) as error:
         return EdgeSearchResult([], f"the orbit of a cell cannot be followed: {error}")
     why = run.ends[1 if end > start_values[axis] else 0]
@@ -148,25 +148,7 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
     return EdgeSearchResult([], "the orbit of a cell continues beyond", orbits.fate_at(nearest.orbit, values, beyond))
 
 
-def events_towards(
-    orbits: CellOrbits,
-    orbit: Orbit,
-    parameters: Array,
-    axis: int,
-    end: float,
-    resolution: float,
-    until: Until | None = None,
-) -> list[PlaneEvent]:
-    """Return the events at which an orbit at parameters (2,) gains or loses stability, or ends, along an axis.
-
-    The parameter with index ``axis`` is varied to ``end``, or to the first event for which ``until`` is True. Steps are
-    at most ``resolution``, a share of that range. Events are in order along the branch, which may turn back. Errors are
-    those of ``workers.continuation.branch``.
-    """
-    return _towards(orbits, orbit, parameters, axis, end, resolution, until)[1]
-
-
-def _towards(
+def follow_towards(
     orbits: CellOrbits,
     orbit: Orbit,
     parameters: Array,
@@ -175,7 +157,12 @@ def _towards(
     resolution: float,
     until: Until | None = None,
 ) -> tuple[BranchRun, list[PlaneEvent]]:
-    """Do the work of ``events_towards``; return the branch of the orbit along the axis, and its events."""
+    """Return the branch of an orbit at parameters (2,) along an axis, and its events that bound stability.
+
+    The parameter with index ``axis`` is varied to ``end``, or to the first event for which ``until`` is True. Steps are
+    at most ``resolution``, a share of that range. At the events the orbit gains or loses stability, or ends; they are
+    in order along the branch, which may turn back. Errors are those of ``workers.continuation.branch``.
+    """
     behind = float(parameters[axis]) - 1e-6 * (end - float(parameters[axis]))
     window = (min(behind, end), max(behind, end))
     family, value = orbits.family_along(axis, parameters), float(parameters[axis])

@@ -3,7 +3,7 @@
 import json
 import time
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 from atlas.orbits.curves.cell_orbits import CellOrbits
@@ -48,9 +48,9 @@ def run_and_store(job: CurveJob) -> PartReport:
     handle = job.store_ref.open()
     compile_once(*kernels_for(handle.spec.system_def, ORBITS))
     begin = time.thread_time()
-    orbits = _orbits(job.store_ref, job.digest, job.settings)
+    orbits, curve_of = _read_plane(job, handle), partial(_curve, handle, job.digest)
     try:
-        result = run_task(job.task, orbits, partial(read_part, handle), partial(_curve, job.store_ref, job.digest))
+        result = run_task(job.task, orbits, partial(read_part, handle), curve_of)
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One point at which a method breaks down must not end the search: the error is counted, in words.
         result = {"trouble": f"{type(error).__name__}: {error}"}
@@ -64,15 +64,23 @@ def read_part(handle: AtlasStore, name: str) -> dict[str, Any]:
     return part
 
 
-@lru_cache(maxsize=64)  # a curve passes many edges
-def _curve(site: StoreRef, digest: str, name: str) -> FollowedCurve:
-    return curve_from_json(read_part(site.open(), name)["curve"])
+def _curve(handle: AtlasStore, digest: str, name: str) -> FollowedCurve:
+    """Return a curve by the name of its part; a curve passes many edges, so the handle keeps it."""
+    curve = handle.cache.get(f"{digest} {name}") or curve_from_json(read_part(handle, name)["curve"])
+    handle.cache[f"{digest} {name}"] = curve
+    return curve
 
 
-@lru_cache(maxsize=1)  # reading a plane and finding its orbits is slow
-def _orbits(site: StoreRef, digest: str, settings: CurveSettings) -> CellOrbits:
-    plane = plane_of(site.open())
-    if settings.digest(plane) != digest:
-        text = "its cells differ from those of the search; check that the path is the same on every host"
-        raise WorkerRefusedError(f"{site.store}: {text}")
-    return CellOrbits(plane)
+def _read_plane(job: CurveJob, handle: AtlasStore) -> CellOrbits:
+    """Return the orbits of the cells; the handle keeps them, since reading a plane and finding its orbits is slow.
+
+    Raise WorkerRefusedError if the cells are not those of the search.
+    """
+    orbits = handle.cache.get(job.digest)
+    if orbits is None:
+        plane = plane_of(handle)
+        if job.settings.digest(plane) != job.digest:
+            text = "its cells differ from those of the search; check that the path is the same on every host"
+            raise WorkerRefusedError(f"{job.store_ref.store}: {text}")
+        orbits = handle.cache[job.digest] = CellOrbits(plane)
+    return orbits

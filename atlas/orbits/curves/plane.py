@@ -15,7 +15,6 @@ from atlas.orbits.orbit_table import Array, OrbitTable, columns_of, must_be_fini
 from atlas.spec.cells import edges_of
 from atlas.spec.system import must_offer
 from atlas.store.store import AtlasStore
-from workers.model.elements import ALWAYS
 from workers.model.parameter import TAU
 from workers.model.system import System
 from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
@@ -202,7 +201,7 @@ def plane_of(handle: AtlasStore) -> CurvePlane:
     system = spec.system_def
     must_offer(system, "curves", unforced=True)
     for axis in spec.axes:
-        phases = len(system.definition.phases or ALWAYS) * system.definition.pieces
+        phases = system.definition.phase_count
         if axis.name in system.states or (axis.name == TAU and phases < 2):
             raise InputError(
                 f"{handle.backend}: axis {axis.name} only sets the start of a motion, on which no orbit depends; "

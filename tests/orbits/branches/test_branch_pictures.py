@@ -14,7 +14,7 @@ from atlas import render
 from atlas.accessor import PlottableBranches
 from atlas.errors import InputError
 from atlas.orbits.branches.from_sweep import tree_through
-from atlas.render.sweep import DASHES
+from atlas.render.sweep import ORBITS
 from tests.orbits.branches.test_branch_fig6 import KNOWN
 from tests.pictures import atlas as atlas_of
 from tests.pictures import labels, line, plane
@@ -59,7 +59,7 @@ def drawn_lines(ax: Axes, stable: bool) -> list[np.ndarray]:
 def test_stable_and_unstable_parts_meet_at_the_event(found: PlottableBranches) -> None:
     ax = found.plot().axes[0]
     solid, dashed = drawn_lines(ax, True), drawn_lines(ax, False)
-    assert DASHES[True] == "solid"
+    assert ORBITS[True].dashes == ()
     assert len(dashed) == 1
     assert dashed[0][:, 0].max() == pytest.approx(BREAKING, abs=1e-9)
     assert dashed[0][:, 0].min() == 2.95

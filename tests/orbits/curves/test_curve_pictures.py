@@ -15,7 +15,7 @@ import atlas
 from atlas import render
 from atlas.errors import InputError
 from atlas.orbits.curves.table import CodimTwoPoint, Curves
-from atlas.render.style import CORNERS, EVENT_STYLES, corner_look
+from atlas.render.looks import CORNERS, EVENT_STYLES, corner_look
 from tests.pictures import curve, curves, keeping, labels, plane
 
 
@@ -114,7 +114,7 @@ def test_each_kind_of_point_of_codimension_two_has_a_mark_of_its_own() -> None:
     ],
 )  # fmt: skip
 def test_points_of_codimension_two_are_named_in_words(kind: str, name: str) -> None:
-    assert corner_look(kind, 4.0)["label"] == name
+    assert corner_look(kind).label == name
 
 
 def test_the_kinds_of_curves_that_are_drawn_can_be_chosen() -> None:

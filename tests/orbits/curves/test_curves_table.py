@@ -108,7 +108,7 @@ def test_json_has_all_there_is(tmp_path: Path) -> None:
     assert found["axes"] == ["omega", "b"]
     assert found["curves"][0]["points"] == FOLD.points.tolist()
     assert found["curves"][0]["impacts_upper"] == [4, 4, 5]
-    assert found["curves"][0]["corners"][1] == {"kind": "cusp", "position": [0.5, 0.7]}
+    assert found["curves"][0]["corners"][1] == FOLD.corners[1]._asdict()
 
 
 def test_the_label_of_a_curve_names_its_orbits_in_turn() -> None:

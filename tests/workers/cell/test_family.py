@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.oscillators import build_one
+from tests.oscillators import RIGID, build_one, rigid_machines
 from tests.support.oracle import OracleMachine, section_jacobian, simulate
 from tests.support.oracle.machines import random_machine
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
 from workers.kernel.period import propagate
 from workers.kernel.tangent import reset_frame
-from workers.model.oscillator import Oscillator, SingleContactMachines
+from workers.model.oscillator import Oscillator
 
 pytestmark = pytest.mark.slow
 
@@ -73,10 +73,7 @@ def solver_jacobian(machine: OracleMachine, state: np.ndarray) -> np.ndarray:
 
 
 def solver_of(machine: OracleMachine) -> Oscillator:
-    fields = {
-        name: np.asarray(getattr(machine, name), dtype=np.float64)[None] for name in SingleContactMachines._fields
-    }
-    return build_one(SingleContactMachines(**fields))
+    return build_one(rigid_machines(**{name: np.asarray(getattr(machine, name))[None] for name in RIGID}))
 
 
 def physical_directions(osc: Oscillator, motion: Motion) -> np.ndarray:

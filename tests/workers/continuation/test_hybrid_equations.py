@@ -20,8 +20,8 @@ from workers.continuation.orbit_from_motion import record_orbit
 from workers.continuation.orbits import orbit_from_state, refine_orbit
 from workers.continuation.shooting import OrbitMotion
 from workers.model.family import with_modes
-from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import code_of
+from workers.model.machines import Machines
 from workers.model.system import find_system
 from workers.results import NO_IMPACT, PERIODIC
 from workers.tile import solve_tile
@@ -38,7 +38,7 @@ FORCED = [
 each_forced = pytest.mark.parametrize("name", FORCED)
 
 
-def always(machines: HybridMachines) -> Family:
+def always(machines: Machines) -> Family:
     """One machine, whatever is asked for."""
     return Family((), lambda rows: with_modes(machines).at_rows(np.zeros(len(rows), dtype=np.int64)))
 

@@ -10,11 +10,12 @@ from tests.support.oracle.piecewise.random_machines import random_machine, rando
 from tests.support.solver_bridge import machines_of
 from tests.workers.kernel.test_batch import assert_same_bits
 from workers.cell.interval import batch_of, begin, has_ended, run
+from workers.kernel.cell_loops import reset_frames
 from workers.kernel.lanes.run import MotionBatch
-from workers.kernel.motion import RUNNING, STATUS
+from workers.kernel.motion import LOST, RUNNING, STATUS
 from workers.kernel.period import advance
 from workers.model.mode_table import build_hybrid
-from workers.model.oscillator import map_fields, take_one
+from workers.model.oscillator import COLUMN, map_fields, take_one
 from workers.results import NO_REASON
 
 CELLS, PERIODS, KEPT = 12, 6, 3
@@ -96,3 +97,44 @@ def test_a_period_is_that_of_the_map_of_one_motion(seed: int) -> None:
     away = np.max(np.abs(together.motions.h - single.motions.h)[tame], axis=(1, 2), initial=0.0)
     assert np.all(away <= 1e-10 * scale * SENSITIVE)
     np.testing.assert_array_equal(together.motions.mode[tame], single.motions.mode[tame])
+
+
+def grown(seed: int, periods: list[int]) -> MotionBatch:
+    """Machines of a family after these periods; after each of them, frames are made orthonormal."""
+    every = np.arange(CELLS)
+    batch = starting(seed, every)
+    for some in periods:
+        batch.periods[:], batch.completed[:] = some, 0
+        run(batch, every)
+        reset_frames(batch.oscillators.gap.blocks, batch.motions, every)
+    return batch
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_frames_made_orthonormal_when_spread_grow_like_those_made_so_often(seed: int) -> None:
+    """Gram-Schmidt factors multiply, so that growth does not depend on where frames were made orthonormal."""
+    seldom, often = grown(seed, [PERIODS]), grown(seed, [1] * PERIODS)
+    whole = (seldom.motions.tally[:, STATUS] == RUNNING) & (seldom.motions.tally[:, LOST] == 0.0)
+    np.testing.assert_array_equal(seldom.motions.h, often.motions.h)
+    np.testing.assert_allclose(seldom.motions.growth[whole], often.motions.growth[whole], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_mode_changes_the_norm_of_states_more_unevenly_than_its_skew(seed: int) -> None:
+    oscillators = finished(starting(seed, np.arange(CELLS)), np.arange(CELLS)).oscillators
+    table, n = oscillators.table, oscillators.gap_row.shape[1]
+    built = table.codes >= 0
+    energy = np.stack([np.sqrt(table.pieces.blocks[:, :, 0, :, COLUMN.metric]), np.ones((*built.shape, n))], axis=-1)
+    speed = np.repeat(np.stack([table.omega, np.ones(CELLS)], axis=1), n, axis=1)[:, None, None]
+    change = energy.reshape(*built.shape, 2 * n, 1) * table.pieces.to_blocks / speed
+    assert np.all(np.log(np.linalg.cond(change[built])) <= table.pieces.skew[built] + 1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_impacts_stretch_deviations_no_more_unevenly_than_their_bound(seed: int) -> None:
+    oscillators, _ = build_hybrid(machines_of(family(seed)))
+    elements, one = oscillators.table.elements, np.eye(oscillators.gap_row.shape[1])
+    hard = (elements.soft == 0.0) & (elements.R > 0.0)
+    kick, row, R = elements.kick[hard], elements.row[hard], elements.R[hard]
+    impact = one - (1.0 + R)[:, None, None] * kick[:, :, None] * row[:, None, :]
+    assert np.all(np.log(np.linalg.cond(impact)) <= elements.turned[hard] + 1e-9)

@@ -153,7 +153,7 @@ def two_mass(**params: list[float]) -> tuple[Oscillator, Oscillator, Array]:
     record = find_system("two-mass")
     values = record.complete(params)
     rigid, reasons = record.build_many(values)
-    hybrid, others = build_hybrid(record.definition.hybrid(values))
+    hybrid, others = build_hybrid(record.definition.machines(values))
     assert not reasons.any()
     assert not others.any()
     return rigid, hybrid, initial_state(record, values)

@@ -16,7 +16,7 @@ from tests.workers.model.test_systems import MACHINE, values_of
 from workers import System
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError
-from workers.model.hybrid_machines import HybridMachines, hybrid_faults
+from workers.model.machines import Machines, faults
 from workers.model.oscillator import map_fields
 from workers.model.system import find_system, identity, system_names
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -175,7 +175,7 @@ def test_all_machines_of_a_definition_are_made_alike_to_the_bit(system: System) 
 
     rng = np.random.default_rng(5)
     values = {p.name: np.exp(rng.normal(size=50)) * (0.2 if p.high == 1.0 else 1.0) for p in system.parameters}
-    made = system.definition.hybrid if system.has_modes else system.definition.machines
+    made = system.definition.machines
     with np.errstate(all="ignore"):
         many = made(values)
         for k in (0, 7, 49):
@@ -198,8 +198,8 @@ def test_every_entry_enters_the_identity_and_its_spelling_does_not() -> None:
     assert of(spelt.replace('preload = 0.5, stiffness = "2 * s"', 'stiffness = "2*s", preload = 0.50')) == of(RIG)
 
 
-def hybrid(system: System, **given: float | np.ndarray) -> HybridMachines:
-    return system.definition.hybrid(values_of(system, **given))
+def hybrid(system: System, **given: float | np.ndarray) -> Machines:
+    return system.definition.machines(values_of(system, **given))
 
 
 def test_values_of_parameters_make_the_numbers_of_each_phase() -> None:
@@ -229,19 +229,6 @@ def test_a_phase_changes_the_amplitude_of_the_first_order_and_leaves_angles_and_
     assert (alone.force_sin.tolist(), alone.load.tolist()) == ([[[[0.0]], [[0.0]]]], [[[0.5], [-0.5]]])
 
 
-@pytest.mark.parametrize("name", [name for name in system_names() if not find_system(name).has_modes])
-def test_machines_of_one_rigid_contact_have_the_numbers_that_are_solved(name: str) -> None:
-    system = find_system(name)
-    values = values_of(system, omega=np.array([0.7, 1.9]))
-    found, wanted = system.definition.hybrid(values), system.definition.machines(values)
-    for key in ("damping", "stiffness", "load", "force_sin", "force_cos"):
-        assert getattr(found, key)[:, 0].tobytes() == getattr(wanted, key).tobytes()
-    for one, other in ((found.mass, wanted.mass), (found.row[:, 0], wanted.gap_row), (found.R[:, 0], wanted.R)):
-        assert one.tobytes() == other.tobytes()
-    assert (found.stops[:, 0] == np.stack([wanted.lower, wanted.upper], axis=-1)).all()
-    assert hybrid_faults(found).tolist() == [NO_REASON] * 2
-
-
 FAULTS = [
     ({"k": math.inf}, OUT_OF_DOUBLES), ({"b": math.nan}, OUT_OF_DOUBLES), ({"b": -0.4}, OUT_OF_RANGE),
     ({"R": 2.2}, OUT_OF_RANGE), ({"s": -1.0}, OUT_OF_RANGE), ({"mu": -0.1}, OUT_OF_RANGE), ({"mu": 0.05}, OUT_OF_RANGE),
@@ -254,13 +241,13 @@ FAULTS = [
 def test_values_that_make_no_element_are_told_of_their_cell_alone(given: dict[str, float], reason: int) -> None:
     system = System.from_toml(RIG)
     columns = {name: np.array([system.parameter(name).default, value]) for name, value in given.items()}
-    assert hybrid_faults(hybrid(system, **columns)).tolist() == [NO_REASON, reason]
+    assert faults(hybrid(system, **columns)).tolist() == [NO_REASON, reason]
 
 
 def test_matrices_of_a_phase_need_not_be_symmetric() -> None:
     found = hybrid(System.from_toml(RIG), omega=np.ones(2))
     found.stiffness[1, 1, 0, 1] = 0.0
-    assert hybrid_faults(found).tolist() == [NO_REASON, NO_REASON]
+    assert faults(found).tolist() == [NO_REASON, NO_REASON]
 
 
 def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
@@ -282,9 +269,9 @@ def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
         [1e200, 1e200],
     ]  # friction on no contact's row, beside the wall's and the pad's
     wrong = np.isin(np.arange(9), [1, 3, 5, 7, 8])
-    assert hybrid_faults(found).tolist() == np.where(wrong, OUT_OF_RANGE, NO_REASON).tolist()
+    assert faults(found).tolist() == np.where(wrong, OUT_OF_RANGE, NO_REASON).tolist()
     assert map_fields(found, lambda field: field[:0]).mass.shape == (0, 2, 2)
-    assert hybrid_faults(map_fields(found, lambda field: field[:0])).tolist() == []
+    assert faults(map_fields(found, lambda field: field[:0])).tolist() == []
 
 
 def rig(**changes: Any) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def solved(system: System, **values: Any) -> dict[str, Any]:
 def force_at(system: System, angles: np.ndarray, **values: float) -> np.ndarray:
     """The force and the load on the first coordinate at these values of omega t + tau."""
     known = {p.name: np.array([values.get(p.name, p.default)]) for p in system.parameters}
-    many = system.definition.hybrid(known)
+    many = system.definition.machines(known)
     orders = np.arange(1, many.force_sin.shape[2] + 1) / system.definition.turns
     turned = np.multiply.outer(angles, orders)
     parts = np.sin(turned) @ many.force_sin[0, 0, :, 0] + np.cos(turned) @ many.force_cos[0, 0, :, 0]
@@ -94,7 +94,7 @@ def test_parts_of_one_order_add_up() -> None:
 def test_a_phase_of_the_period_changes_sine_and_cosine_of_the_force() -> None:
     phases = [{"start": 0.0}, {"start": 0.5, "cosine": [2.0]}, {"start": 0.7, "force": [3.0], "cosine": [0.0]}]
     system = machine(force=["A"], cosine=["B"], phases=phases, harmonics=[{"order": 3, "force": [0.1]}])
-    many = system.definition.hybrid({p.name: np.array([p.default]) for p in system.parameters})
+    many = system.definition.machines({p.name: np.array([p.default]) for p in system.parameters})
     assert many.force_sin[0, :, :, 0].tolist() == [[0.8, 0.0, 0.1], [0.8, 0.0, 0.1], [3.0, 0.0, 0.1]]
     assert many.force_cos[0, :, :, 0].tolist() == [[0.5, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
 

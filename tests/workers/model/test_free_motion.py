@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from tests.oscillators import rigid_machines
 from workers.continuation.families import family_of
 from workers.model.build import build
 from workers.model.family import NoOscillatorError, machines_over
 from workers.model.hybrid_modes import FLYING
-from workers.model.oscillator import COLUMN, SingleContactMachines
+from workers.model.oscillator import COLUMN
 from workers.model.system import System, find_system, system_names
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
@@ -66,7 +67,7 @@ def test_a_dashpot_along_the_gap_leaves_what_moves_on_a_stop_undamped() -> None:
         A = rng.normal(size=(2, 2))
         along = rng.normal(size=2)
         built, reasons = build(
-            SingleContactMachines(
+            rigid_machines(
                 mass=np.array([A @ A.T + np.eye(2)]), damping=np.array([np.outer(along, along)]),
                 stiffness=np.array([np.eye(2)]), gap_row=along[None], force_sin=np.ones((1, 1, 2)),
                 force_cos=np.zeros((1, 1, 2)), load=np.zeros((1, 2)), omega=np.ones(1), tau=np.zeros(1),

@@ -76,7 +76,7 @@ def hybrid_of(definition: dict[str, Any]) -> Oscillator:
     """The machine at its defaults, as the kernels run it."""
     system = System.from_mapping(definition)
     values = {p.name: np.array([p.default]) for p in system.parameters}
-    hybrid, reasons = build_hybrid(system.definition.hybrid(values))
+    hybrid, reasons = build_hybrid(system.definition.machines(values))
     assert reasons[0] == NO_REASON
     return hybrid
 

@@ -19,7 +19,7 @@ from tests.project.test_docs import ROOT, files
 from tests.refusals import refuse
 from tests.support.solver_bridge import Array
 from workers import Settings, solve_tile
-from workers.model.hybrid_machines import is_mirror_symmetric
+from workers.model.machines import is_mirror_symmetric
 from workers.model.system import System
 from workers.results import FAILED, NO_IMPACT
 
@@ -206,13 +206,13 @@ def test_a_jump_at_the_start_of_a_phase_is_exact() -> None:
 
 
 def test_a_coefficient_that_does_not_change_is_that_of_a_machine_without_steps() -> None:
-    (K,) = mathieu(stiffness=[["1.3 + 0 * cos(phase)"]]).definition.hybrid(at_defaults(mathieu())).stiffness
+    (K,) = mathieu(stiffness=[["1.3 + 0 * cos(phase)"]]).definition.machines(at_defaults(mathieu())).stiffness
     assert (K == 1.3).all()
 
 
 def test_a_shaft_whose_stiffness_turns_twice_in_a_period_keeps_its_mirror_symmetry() -> None:
     system = mathieu(**STOP | {"lower": -0.4}, stiffness=[["1 + e * cos(2 * phase)"]], within=5e-3)
-    assert is_mirror_symmetric(system.definition.hybrid(at_defaults(system))).all()
+    assert is_mirror_symmetric(system.definition.machines(at_defaults(system))).all()
     assert solve_tile(system, {"omega": [1.6], "e": [0.1]})["symmetric"][0]
 
 
@@ -224,7 +224,7 @@ def test_a_system_keeps_its_number_of_steps_in_its_table() -> None:
 
 def test_names_in_let_may_use_the_phase() -> None:
     named = mathieu(let={"k": "1 + e * cos(phase)"}, stiffness=[["k"]])
-    (K,), (plain,) = (system.definition.hybrid(at_defaults(system)).stiffness for system in (named, mathieu()))
+    (K,), (plain,) = (system.definition.machines(at_defaults(system)).stiffness for system in (named, mathieu()))
     assert np.array_equal(K, plain)
 
 

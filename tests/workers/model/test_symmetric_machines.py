@@ -7,13 +7,13 @@ import pytest
 from mpmath import mp
 
 from atlas.query.machine import has_twins
+from tests.oscillators import build_one, rigid_machines
 from tests.workers.model.test_systems import table
 from workers import System, solve_tile
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import STUCK
 from workers.kernel.period import mirror, propagate
-from workers.model.build import build
-from workers.model.oscillator import COLUMN, Oscillator, SingleContactMachines, take_one
+from workers.model.oscillator import COLUMN, Oscillator
 from workers.results import NO_IMPACT, NO_REASON, PERIODIC
 
 
@@ -37,11 +37,7 @@ def machine(**given: Any) -> Oscillator:
         "force_sin": np.ones((1, n)), "force_cos": np.zeros((1, n)), "load": np.zeros(n), "omega": 1.0, "tau": 0.0,
         "R": 0.8,
     } | given  # fmt: skip
-    oscillators, reasons = build(
-        SingleContactMachines(**{name: np.asarray(v, dtype=np.float64)[None] for name, v in fields.items()})
-    )
-    assert reasons[0] == NO_REASON
-    return take_one(oscillators, 0)
+    return build_one(rigid_machines(**{name: np.asarray(v)[None] for name, v in fields.items()}))
 
 
 def preloaded(rng: np.random.Generator, decades: float = 2.0) -> dict[str, Any]:
@@ -126,7 +122,7 @@ def test_two_half_turns_of_a_loaded_machine_that_sticks_are_a_whole_one() -> Non
 def test_matrices_that_rounding_has_made_unsymmetric_are_made_symmetric() -> None:
     system = System.from_mapping(table(stiffness=[[1.0, "-0.1 * 3"], [-0.3, "1 + k"]]))
     machines = system.definition.machines({p.name: np.array([p.default]) for p in system.parameters})
-    assert machines.stiffness[0, 0, 1] == machines.stiffness[0, 1, 0] == pytest.approx(-0.3, rel=1e-15)
+    assert machines.stiffness[0, 0, 0, 1] == machines.stiffness[0, 0, 1, 0] == pytest.approx(-0.3, rel=1e-15)
     values = {p.name: np.full(2, p.default) for p in system.parameters}
     assert system.build_many(values)[1].tolist() == [NO_REASON, NO_REASON]
 
@@ -134,7 +130,7 @@ def test_matrices_that_rounding_has_made_unsymmetric_are_made_symmetric() -> Non
 def test_matrices_that_differ_by_more_than_rounding_stay_as_they_are() -> None:
     system = System.from_mapping(table(stiffness=[[1.0, -0.3], [-0.3 * (1.0 + 1e-13), "1 + k"]]))
     machines = system.definition.machines({p.name: np.array([p.default]) for p in system.parameters})
-    assert machines.stiffness[0, 0, 1] != machines.stiffness[0, 1, 0]
+    assert machines.stiffness[0, 0, 0, 1] != machines.stiffness[0, 0, 1, 0]
     values = {p.name: np.full(2, p.default) for p in system.parameters}
     assert system.build_many(values)[1].tolist() == [NO_REASON, NO_REASON]
 

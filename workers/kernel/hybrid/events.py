@@ -240,10 +240,11 @@ def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, p
     """
     elements, pieces, n = table.elements, table.pieces, len(z) // 2
     row, kick, R, stop = elements.row[c], elements.kick[c], elements.R[c], elements.stops[c, 1 if side > 0 else 0]
-    _, _, _, jerk, scale = evaluate(pieces.blocks[k, g], pieces.waves[k, g], table.omega, h, 0.0, phase, 0.0)
-    scale += abs(stop) + abs(pieces.offset[k, g])
     cA2k, w = damping_along(pieces.acceleration[k], row, kick), R * abs(rate)
-    load = load_at_rest(side, rate, product(row, f, n), cA2k)
+    load, jerk, scale = load_at_rest(side, rate, product(row, f, n), cA2k), 0.0, 0.0
+    if load > 0.0 and 0.0 < R < 1.0:  # else the mass certainly rebounds, or R = 0 decides
+        _, _, _, jerk, scale = evaluate(pieces.blocks[k, g], pieces.waves[k, g], table.omega, h, 0.0, phase, 0.0)
+        scale += abs(stop) + abs(pieces.offset[k, g])
     following = outcome(load, rate, R, scale, 2.0 * np.pi / table.omega)
     reset(z, 0, row, kick, stop, 1.0)  # else rounding would add up over many impacts
     rests = following != REBOUND

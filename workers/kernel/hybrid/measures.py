@@ -57,7 +57,7 @@ class MeasurePlan(NamedTuple):
     contact_laws       (N, C, 2, S, 3) segments of the laws of contacts: start, slope and level
     friction_laws      (N, F, 2, S', 3) segments of the laws of frictions: start, slope and level
 
-    The last five fields are those of HybridMachines.
+    The last five fields are those of Machines.
     """
 
     rows: Array

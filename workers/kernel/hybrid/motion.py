@@ -11,7 +11,7 @@ from workers.kernel.by_reference import as_many, by_reference, by_value, row_in
 from workers.kernel.crossing import next_crossing
 from workers.kernel.external import FLOATS, external
 from workers.kernel.hybrid.neutral import count_progress
-from workers.kernel.hybrid.state import product, product_of_blocks
+from workers.kernel.hybrid.state import harmonics_at, product, product_of_blocks
 from workers.kernel.hybrid.trajectory import (
     CLOCK,
     INDEX,
@@ -127,7 +127,7 @@ def go_through(tables, trajs, number, contacts, legs, duration):
     table, trip, contacts, legs = row_in(tables, 0), row_in(trajs, 0), by_value(contacts), by_value(legs)
     tally, scratch = trip.tally, np.empty_like(trip.h)
     legs[:] = np.nan
-    begin_trajectory(table, trip, number)
+    begin_trajectory(table, trip, number, harmonics_at(table.tau, len(trip.turn)))
     while True:
         trip.clock[CLOCK.horizon] = begin_leg(table, trip, duration)
         if tally[STATUS] != RUNNING:

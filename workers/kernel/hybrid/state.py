@@ -13,8 +13,8 @@ from workers.kernel.by_reference import as_many, row_in
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.linalg import copy_into
-from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import ON
+from workers.model.machines import PARALLEL
 from workers.model.oscillator import COLUMN
 
 ROW_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
@@ -148,7 +148,8 @@ def guard_rate(modes, k, g, f, omega, harmonics):
 @inlined
 def right_hand_side(modes, k, z, harmonics, f):
     """Write the time derivative of a physical state z (2n,) in mode k, one set of linear equations, to f (2n,)."""
-    n, drive, acceleration = len(z) // 2, modes.drive[k], modes.acceleration[k]
+    at = np.uint64(k)
+    n, drive, acceleration = len(z) // 2, modes.drive[at], modes.acceleration[at]
     for i in range(n):
         total, _ = wave(drive[i], harmonics)
         row = acceleration[i]
@@ -165,7 +166,8 @@ def enter(modes, k, z, W, harmonics, h, V):
     Write them to h (n, 2) and V (m, n, 2). The forced response is left out of h. A mode is one set of linear equations
     of motion. For ``harmonics`` see ``harmonics_at``.
     """
-    matrix, blocks, forced = modes.to_blocks[k], modes.blocks[k, 0], modes.forced[k]
+    at = np.uint64(k)  # no check for negative indices, here and below
+    matrix, blocks, forced = modes.to_blocks[at], modes.blocks[at, 0], modes.forced[at]
     size = len(z)
     for i in range(size):
         total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], harmonics)[0]
@@ -183,7 +185,8 @@ def leave(modes, k, h, V, harmonics, z, W):
     Write them to z (2n,) and W (m, 2n). A mode is one set of linear equations of motion. This is the inverse of
     ``enter``.
     """
-    matrix, blocks, forced = modes.to_physical[k], modes.blocks[k, 0], modes.forced[k]
+    at = np.uint64(k)
+    matrix, blocks, forced = modes.to_physical[at], modes.blocks[at, 0], modes.forced[at]
     size = len(z)
     z[:] = 0.0
     for j in range(size):

@@ -41,6 +41,7 @@ from workers.kernel.hybrid.state import (
     write_harmonics,
 )
 from workers.kernel.jit import inline_always, inlined, kernel, named_constants
+from workers.kernel.linalg import copy_into
 from workers.kernel.motion import (
     CONTRACTION,
     ENDLESS_EVENTS,
@@ -53,6 +54,7 @@ from workers.kernel.motion import (
     RESONANT_MODE,
     RUNNING,
     SIMULTANEOUS,
+    SPREAD,
     STATUS,
     STUCK,
     TABLES,
@@ -63,8 +65,10 @@ from workers.kernel.motion import (
 )
 from workers.kernel.tangent import (
     MAX_SPREAD,
+    MAX_SPREAD_OF_ONE,
     drop_dependent,
     graded_flow,
+    impact_spread,
     orthonormalise,
     spread_rate,
 )
@@ -216,20 +220,26 @@ def fly(modes, k, s, traj, drifts, flown):
     ``drifts`` is 1 if a coordinate drifts, else 0. With ``flown``, traj.flow already holds the flow over s. A mode is a
     set of linear equations.
 
-    The frame, the set of tangent vectors, is made orthonormal before the flight. Directions removed by an event are
-    therefore detected before the flight turns rounding into directions. Multipliers are then known to rounding.
+    The frame, the set of tangent vectors, is made orthonormal before the flight if it may have spread far. With lost
+    directions, or a triangle, it is made so before every flight. Directions removed by an event are therefore detected
+    before the flight turns rounding into directions. Multipliers are then known to rounding.
     """
-    blocks, h, V, growth, flows = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow
+    blocks, h, V, growth, flows, tally = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow, traj.tally
     if growth.shape[0] > 0:
-        lost = traj.tally[LOST] - drifts
-        rank = 2 * h.shape[0] - int(lost)
-        if lost > 0.0:
-            drop_dependent(blocks, V, rank)
-        orthonormalise(blocks, V, growth, traj.triangle, rank)
-        if s * spread_rate(blocks) > MAX_SPREAD:
-            flow(blocks, s, h)
-            graded_flow(blocks, s, V, growth, traj.triangle, rank)
-            return
+        spread, limit = s * spread_rate(blocks), MAX_SPREAD if len(V) > 1 else MAX_SPREAD_OF_ONE
+        keeps = traj.triangle.shape[0] == 0 and tally[LOST] == 0.0 and 0.0 < tally[SPREAD] <= limit - spread
+        if not keeps:
+            lost = tally[LOST] - drifts
+            rank = 2 * h.shape[0] - int(lost)
+            if lost > 0.0:
+                drop_dependent(blocks, V, rank)
+            orthonormalise(blocks, V, growth, traj.triangle, rank)
+            tally[SPREAD] = 0.0
+            if spread > MAX_SPREAD:
+                flow(blocks, s, h)
+                graded_flow(blocks, s, V, growth, traj.triangle, rank)
+                return
+        tally[SPREAD] += spread + TINY
     for j in range(h.shape[0]):
         if flown:
             f11, f12, f21, f22 = flows[j, 0], flows[j, 1], flows[j, 2], flows[j, 3]
@@ -244,7 +254,7 @@ def count_rest(elements, states, lost, s, chatter, tally):
     """Add the time at rest in a flight of duration s to the counts ``tally`` of a motion.
 
     states (C,)  states of the contacts
-    lost         number of dimensions that the motion lacks, since coordinates stick; 0 if nothing rests
+    lost         number of dimensions that the motion lacks, since coordinates stick
     chatter      first part of the flight, in which the mass still hops; it does not count if nothing else rests
     """
     count = 0.0
@@ -253,8 +263,7 @@ def count_rest(elements, states, lost, s, chatter, tally):
             count += 1.0
     if count > 0.0:
         tally[MIN_SPEED] = 0.0
-    if lost > 0.0:
-        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # sticking counts, however short
+    tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # sticking counts, however short
 
 
 @inline_always
@@ -289,17 +298,18 @@ def follow(table, traj):
 
 
 @kernel
-def begin_trajectory(table, traj, number):
+def begin_trajectory(table, traj, number, turn):
     """Begin a trajectory at the start of a period, in place, in the mode of this number.
 
-    Its physical state and tangent vectors are set already. A mode is one set of linear equations.
+    Its physical state and tangent vectors are set already. A mode is one set of linear equations. For ``turn``, of the
+    start of the period, see state.harmonics_at.
     """
     clock, indices = traj.clock, traj.indices
     read_number(table.elements, number, traj.states, traj.slips)
     traj.begun[:] = 0
     clock[:] = 0.0
     clock[CLOCK.phase] = table.tau
-    write_harmonics(table.tau, traj.turn)
+    copy_into(traj.turn, turn)
     clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     indices[:] = 0
     indices[INDEX.hit] = -1
@@ -324,7 +334,7 @@ def begin_leg(table, traj, duration):
     until = min(duration, period, table.elements.starts[indices[INDEX.where] + 1] * period)
     clock[CLOCK.until] = until
     enter(table.pieces, k, traj.z, traj.W, traj.turn, traj.h, traj.V)
-    if t == 0.0:
+    if t == 0.0 and lost > 0.0:
         remove_held_motion(table.elements, traj.states, lost, traj.V)
     record_slips(traj.slips, tally)
     return until - t + (SECTION_WIDTH * period if until >= min(duration, period) else 0.0)
@@ -386,7 +396,8 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
         record_leg(traj, legs, s)
     fly(pieces, k, s, traj, table.drifts, flown and s == searched)
     tally[CONTRACTION] -= pieces.trace[k] * s
-    count_rest(table.elements, traj.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
+    if pieces.lost[k] > 0.0:
+        count_rest(table.elements, traj.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
     if s > 0.0:
         traj.begun[:] = 0
     t = until if reached < 0 else min(t + s, until)
@@ -499,17 +510,39 @@ def carry(table, traj, mode):
     """
     indices, pieces = traj.indices, table.pieces
     f, after, k, g = traj.before, traj.after, indices[INDEX.mode], indices[INDEX.hit]
-    if k < 0:
+    soft = is_soft(table, g)
+    if k < 0 or (len(traj.W) == 0 and soft and g % SIGNALS == 0):  # a soft contact reached changes no volume
         return
     right_hand_side(pieces, k, traj.z, traj.turn, after)
     for i in range(len(after)):
         after[i] -= f[i]
         for e in range(len(traj.W)):
             traj.W[e, i] += after[i] * traj.slopes[e]
-    if g >= SIGNALS * len(traj.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
+    if g >= SIGNALS * len(traj.states) or soft:  # det S = 1 + r.(f+ - f-) / r'
         change = row_product(pieces.rows[mode, g], after) / traj.clock[CLOCK.rate]
         if change != 0.0:
             traj.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
+    if traj.tally[SPREAD] > 0.0:
+        sees = g < SIGNALS * len(traj.states) and g % SIGNALS == 0
+        traj.tally[SPREAD] = traj.tally[SPREAD] + event_spread(table, traj, mode) if sees else 0.0
+
+
+@inlined
+def event_spread(table, traj, mode):
+    """Return the largest stretch of some tangent vectors relative to others by a contact's event, as a logarithm.
+
+    The event is a soft contact's or an impact that the motion has just passed from the mode (set of linear equations)
+    of this index. See tangent.impact_spread; the energy norms of both modes are changed into each other by way of the
+    norm of (omega x, v).
+    """
+    elements, pieces, jump, g = table.elements, table.pieces, traj.after, traj.indices[INDEX.hit]
+    row, c, n, push, seen = pieces.rows[mode, g], g // SIGNALS, len(jump) // 2, 0.0, 0.0
+    for i in range(n):
+        push, seen = push + jump[n + i] * jump[n + i], seen + row[i] * row[i]
+    R = 1.0 if elements.soft[c] > 0.0 else max(elements.R[c], TINY)
+    ratio = math.sqrt(push * seen) / (R * abs(traj.clock[CLOCK.rate]))
+    skews = pieces.skew[mode] + pieces.skew[traj.indices[INDEX.mode]]
+    return impact_spread(ratio, 1.0 / table.omega, elements.turned[c] + skews)
 
 
 @external(

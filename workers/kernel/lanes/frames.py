@@ -34,11 +34,15 @@ from workers.kernel.lanes.layout import (
 )
 from workers.kernel.lanes.search import list_lanes, padded_count
 from workers.kernel.lanes.two_blocks import BLOCKS, VECTORS, orthonormalise_frames, transfer_frames
-from workers.kernel.tangent import MAX_SPREAD, graded_flow, impact_spread, needs_reset, orthonormalise
+from workers.kernel.tangent import (
+    MAX_SPREAD,
+    MAX_SPREAD_OF_ONE,
+    graded_flow,
+    impact_spread,
+    needs_reset,
+    orthonormalise,
+)
 from workers.model.oscillator import Array
-
-MAX_SPREAD_OF_ONE = 100.0
-"""MAX_SPREAD of a frame of one vector: no other vector can drown it, and its square stays in range."""
 
 
 class Workspace(NamedTuple):

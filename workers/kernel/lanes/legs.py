@@ -59,6 +59,7 @@ class LegFields(NamedTuple):
     side: int  # the end reached, +-1
     step: int  # the least step of all signals
     oscillates: int  # 1 if all blocks are underdamped, else 0
+    length: int  # duration of the leg without an event; LANE.period may be longer, see trajectory.SECTION_WIDTH
 
 
 LEG_FIELD = LegFields(*(k * STRIDE for k in range(len(LegFields._fields))))
@@ -96,53 +97,67 @@ def copy_lane(records, source, target):
 
 
 @inlined
-def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts, H):
-    """Load a leg in mode k (a set of linear equations), of at most the time H, into lane i (one motion).
+def load_mode(records, i, modes, signals, k, omega):
+    """Load the constants of mode k, a set of linear equations, into lane i (one motion), for a force of this frequency.
 
-    Return True if all blocks (decoupled equations) oscillate.
+    ``signals`` (U,) are those to search. Return True if all blocks (decoupled equations) oscillate.
+    """
+    harmonics, n, oscillates, mode = modes.waves.shape[2], modes.blocks.shape[2], True, np.uint64(k)
+    for u in range(len(signals)):
+        a, g = records[u], np.uint64(signals[u])
+        offset, numbers, waves, blocks = (
+            modes.offset[mode, g],
+            modes.numbers[mode, g],
+            modes.waves[mode, g],
+            modes.blocks[mode, g],
+        )
+        a[LANE.omega + i] = omega
+        a[LANE.amplitude + i], a[LANE.swing2 + i] = numbers[NUMBER.amplitude], numbers[NUMBER.swing2]
+        a[LANE.swing3 + i], a[LANE.swing4 + i] = numbers[NUMBER.swing3], numbers[NUMBER.swing4]
+        a[LANE.lower + i], a[LANE.upper + i] = modes.ends[mode, g, 0] - offset, modes.ends[mode, g, 1] - offset
+        a[LANE.sin_part + i], a[LANE.cos_part + i] = waves[0, 0], waves[0, 1]
+        for w in range(1, harmonics):
+            fields = fields_of_harmonic(a, padded_blocks(n), w - 1)
+            fields[HARMONIC.sin_part + i], fields[HARMONIC.cos_part + i] = waves[w, 0], waves[w, 1]
+        for j in range(n):
+            first, columns = LANE_SIZE + j * BLOCK_SIZE + i, blocks[j]
+            for f in range(COLUMN.k0):
+                a[np.uint64(first + f * STRIDE)] = columns[f]
+            oscillates = oscillates and columns[COLUMN.d] > 0.0
+    return oscillates
+
+
+@inlined
+def load_leg(records, i, signals, h, phase, turn, signal_starts, H):
+    """Load a leg of at most the time H into lane i (one motion), which has the constants of its mode already.
 
     signals (U,)    signals to search
     phase           forcing phase at the start
     turn (H, 2)     harmonics of the force at that phase, see state.harmonics_at
     signal_starts   start of each signal, see ``hybrid/events.py``
 
-    The leg, the motion in one mode until its first event, starts at block state h (n, 2).
+    The leg, the motion in one mode (set of linear equations) until its first event, starts at block state h (n, 2).
     """
-    oscillates, harmonics, n = True, len(turn), len(h)
+    harmonics, n = len(turn), len(h)
     for u in range(len(signals)):
-        a, g = records[u], signals[u]
-        offset, numbers, waves, blocks = (
-            modes.offset[k, g],
-            modes.numbers[k, g],
-            modes.waves[k, g],
-            modes.blocks[k, g],
-        )
-        a[LANE.omega + i] = omega
-        a[LANE.amplitude + i], a[LANE.swing2 + i] = numbers[NUMBER.amplitude], numbers[NUMBER.swing2]
-        a[LANE.swing3 + i], a[LANE.swing4 + i] = numbers[NUMBER.swing3], numbers[NUMBER.swing4]
-        a[LANE.lower + i], a[LANE.upper + i] = modes.ends[k, g, 0] - offset, modes.ends[k, g, 1] - offset
+        a, omega = records[u], records[u, LANE.omega + i]
         a[LANE.period + i], a[LANE.flight_start + i], a[LANE.flight_phase + i] = H, 0.0, phase
         a[LANE.time + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
-        a[LANE.own_stop + i], a[LANE.starts + i], a[LANE.renews + i] = signal_starts[g], 1.0, 1.0
-        a[LANE.sin_part + i], a[LANE.cos_part + i] = waves[0, 0], waves[0, 1]
+        a[LANE.own_stop + i], a[LANE.starts + i], a[LANE.renews + i] = signal_starts[signals[u]], 1.0, 1.0
         forced, rate, second, third = 0.0, 0.0, 0.0, 0.0
         for w in range(harmonics):
-            fast, sin_part, cos_part = (w + 1.0) * omega, waves[w, 0], waves[w, 1]
+            parts = LANE_SIZE + padded_blocks(n) * BLOCK_SIZE + (w - 1) * HARMONIC_SIZE
+            sin_part = a[i + (LANE.sin_part if w == 0 else parts + HARMONIC.sin_part)]
+            cos_part = a[i + (LANE.cos_part if w == 0 else parts + HARMONIC.cos_part)]
+            fast = (w + 1.0) * omega
             y = fma(sin_part, turn[w, 0], cos_part * turn[w, 1])
             v = fast * fma(sin_part, turn[w, 1], -cos_part * turn[w, 0])
             forced, rate, second, third = forced + y, rate + v, second - fast * fast * y, third - fast * fast * v
-            if w > 0:
-                first = LANE_SIZE + padded_blocks(n) * BLOCK_SIZE + (w - 1) * HARMONIC_SIZE + i
-                a[first + HARMONIC.sin_part], a[first + HARMONIC.cos_part] = sin_part, cos_part
         a[LANE.forced + i], a[LANE.forced_rate + i] = forced, rate
         a[LANE.forced_second + i], a[LANE.forced_third + i] = second, third
         for j in range(n):
-            first, columns = LANE_SIZE + j * BLOCK_SIZE + i, blocks[j]
-            for f in range(COLUMN.k0):
-                a[np.uint64(first + f * STRIDE)] = columns[f]
+            first = LANE_SIZE + j * BLOCK_SIZE + i
             a[first + BLOCK.h0], a[first + BLOCK.h1] = h[j, 0], h[j, 1]
-            oscillates = oscillates and columns[COLUMN.d] > 0.0
-    return oscillates
 
 
 @inlined
@@ -186,7 +201,7 @@ def move_pass(legs, a, n):
     """
     renewing = 0
     for i in range(n):
-        s, H = a[LANE.time + i], a[LANE.period + i]
+        s, H, length = a[LANE.time + i], a[LANE.period + i], legs[LEG_FIELD.length + i]
         later = s + legs[LEG_FIELD.step + i]
         met = legs[LEG_FIELD.hit + i] >= 0.0
         over = later >= H and not met
@@ -196,7 +211,7 @@ def move_pass(legs, a, n):
         event = REACHED if met else event
         event = OVER if over else event
         legs[LEG_FIELD.event + i] = event
-        a[LANE.time + i] = H if over else later
+        a[LANE.time + i] = length if over else later
         a[LANE.flight_evaluations + i] = count
         renews = count == RENEWAL * math.floor(count * (1.0 / RENEWAL))
         a[LANE.renews + i] = 1.0 if renews else 0.0

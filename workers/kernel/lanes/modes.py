@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from workers.kernel.averages import add_growth
 from workers.kernel.by_reference import by_reference, row_in
 from workers.kernel.hybrid.motion import advance_leg, load_motion, store_motion
+from workers.kernel.hybrid.state import write_harmonics
 from workers.kernel.hybrid.trajectory import (
     CLOCK,
     INDEX,
@@ -30,6 +31,7 @@ from workers.kernel.lanes.legs import (
     copy_lane,
     empty_lane,
     load_leg,
+    load_mode,
     read_flow,
     record_size,
     run_round,
@@ -51,8 +53,10 @@ class LegSearch(NamedTuple):
     records, legs       fields of the lanes, see ``legs.py``
     signals (U,)        numbers of the signals whose events are sought
     lane_cells (LANES,) cell of each lane
+    lane_modes (LANES,) index of the mode (set of linear equations) whose constants the lane has, -1 for none
     slots (LANES,)      row of its trajectory in the batch of trajectories
     before (LANES,)     log of the length of the first tangent vector of each trajectory, at the start of the period
+    turns (LANES, H, 2) harmonics of the force at the start of the period of each trajectory, see state.harmonics_at
     gathered            overwritten
     lane_list (LANES,)  overwritten
     scratch (n, 2)      overwritten
@@ -63,8 +67,10 @@ class LegSearch(NamedTuple):
     legs: Array
     signals: Rows
     lane_cells: Rows
+    lane_modes: Rows
     slots: Rows
     before: Array
+    turns: Array
     gathered: Array
     lane_list: NDArray[np.uint32]
     scratch: Array
@@ -100,7 +106,8 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
     U, size = len(signals), record_size.py_func(n, harmonics)
     return LegSearch(
         room_for_vectors.py_func(U * size).reshape((U, size)), room_for_vectors.py_func(LEG_SIZE), signals,
-        np.zeros(LANES, dtype=np.int64), np.arange(LANES), np.zeros(LANES), room_for_vectors.py_func(GAP_SIZE),
+        np.zeros(LANES, dtype=np.int64), np.zeros(LANES, dtype=np.int64), np.arange(LANES), np.zeros(LANES),
+        np.zeros((LANES, harmonics, 2)), room_for_vectors.py_func(GAP_SIZE),
         np.empty(LANES, dtype=np.uint32), np.empty((n, 2)), np.empty((0, 0)),
     )  # fmt: skip
 
@@ -131,7 +138,9 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
                 continue
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
-            begin_period(batch, trajs, r, slot, more)
+            write_harmonics(batch.oscillators.table.tau[r], search.turns[slot])
+            begin_period(batch, trajs, search, r, slot, more)
+            search.lane_modes[active] = -1
             if turn(batch, trajs, search, r, active, np.int64(BEGINS), np.bool_(False), more):
                 lane_cells[active] = r
                 active += 1
@@ -154,7 +163,8 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
             active -= 1
             copy_lane(search.records, active, lane)
             legs[LEG_FIELD.oscillates + lane] = legs[LEG_FIELD.oscillates + active]
-            lane_cells[lane] = lane_cells[active]
+            legs[LEG_FIELD.length + lane] = legs[LEG_FIELD.length + active]
+            lane_cells[lane], search.lane_modes[lane] = lane_cells[active], search.lane_modes[active]
             slots[lane], slots[active] = slots[active], slots[lane]
             empty_lane(search.records, active)
 
@@ -170,7 +180,7 @@ def length_of(batch, r):
 
 
 @kernel
-def begin_period(batch, trajs, r, slot, more):
+def begin_period(batch, trajs, search, r, slot, more):
     """Begin a period of cell r: copy its motion into row ``slot`` of the trajectories ``trajs``.
 
     ``more`` is the number of tangent vectors added in front, for the direction of a drift.
@@ -178,7 +188,7 @@ def begin_period(batch, trajs, r, slot, more):
     oscillators = batch.oscillators
     trip, motion, table = row_in(trajs, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
     load_motion(oscillators.to_physical[r], motion, trip, more)
-    begin_trajectory(table, trip, motion.mode[0])
+    begin_trajectory(table, trip, motion.mode[0], search.turns[slot])
 
 
 @inline_always
@@ -209,17 +219,16 @@ def pass_found(batch, trajs, search, r, slot, i):
 
 
 @kernel
-def end_period(batch, trajs, r, slot, ending, before, more):
+def end_period(batch, trajs, search, r, slot, ending, more):
     """Copy the trajectory of cell r back into its motion at the end of a period, and begin the next period.
 
     slot    row of the trajectory
     ending  True to begin no other period
-    before  (LANES,) log of the length of the first tangent vector at the start of the period
     more    number of tangent vectors added in front, for the direction of a drift
 
     Return True if a next period has begun.
     """
-    oscillators, periods, completed = batch.oscillators, batch.periods, batch.completed
+    oscillators, periods, completed, before = batch.oscillators, batch.periods, batch.completed, search.before
     motion, trip, k = row_in(batch.motions, r), row_in(trajs, slot), completed[r]
     table = oscillators.table
     store_motion(oscillators.to_blocks[r], table.omega[r], motion, trip, more, table.drifts[r] > 0.0)
@@ -231,7 +240,7 @@ def end_period(batch, trajs, r, slot, ending, before, more):
     completed[r] = k + 1
     if ending or is_finished(r, completed, periods, batch.motions.tally):
         return False
-    begin_period(batch, trajs, r, slot, more)
+    begin_period(batch, trajs, search, r, slot, more)
     return True
 
 
@@ -255,7 +264,7 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
         else:
             through = pass_found(batch, trajs, search, r, slot, i)
     while True:
-        if through and tally[STATUS] == RUNNING and not end_period(batch, trajs, r, slot, ending, search.before, more):
+        if through and tally[STATUS] == RUNNING and not end_period(batch, trajs, search, r, slot, ending, more):
             return False
         clock[CLOCK.horizon] = begin_leg(table, trip, 2.0 * np.pi / table.omega)
         if tally[STATUS] != RUNNING:
@@ -264,11 +273,12 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
         if not (begins_at_rest(trip) or grows(table.pieces, trip.indices[INDEX.mode])):
             break
         through = pass_alone(batch, trajs, search, r, slot)
-    phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.indices[INDEX.mode]
-    smooth = load_leg(
-        search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
-    )
-    search.legs[LEG_FIELD.oscillates + i] = 1.0 if smooth else 0.0
+    k, records, signals = trip.indices[INDEX.mode], search.records, search.signals
+    if search.lane_modes[i] != k:
+        smooth = load_mode(records, i, table.pieces, signals, k, table.omega)
+        search.legs[LEG_FIELD.oscillates + i], search.lane_modes[i] = 1.0 if smooth else 0.0, k
+    search.legs[LEG_FIELD.length + i] = clock[CLOCK.until] - clock[CLOCK.time]
+    load_leg(records, i, signals, trip.h, clock[CLOCK.phase], trip.turn, trip.begun, clock[CLOCK.horizon])
     return True
 
 

@@ -1,4 +1,4 @@
-"""Hybrid machines as arrays of numbers: matrices, force, contacts, friction and phases at given parameters."""
+"""Machines as arrays of numbers: matrices, force, contacts, friction and phases at given parameters."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.block_decomposition import apply_stacked, resists, symmetric
-from workers.model.free_flight import finite
 from workers.model.memoize import memoize_arrays
-from workers.model.oscillator import Array, Mask, Rows, SingleContactMachines, at_rows
+from workers.model.oscillator import Array, Mask, Rows, at_rows, finite
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 GREATEST_R = 2.0
@@ -28,7 +27,7 @@ MIDWAY = 1e-13
 """Deviation, as a share of its terms, up to which a position counts as midway between stops and as balancing a load."""
 
 
-class HybridMachines(NamedTuple):
+class Machines(NamedTuple):
     """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
 
     mass                  (N, n, n) mass matrix
@@ -113,28 +112,23 @@ class HybridMachines(NamedTuple):
         return numbers if len(numbers) else np.zeros(1, dtype=np.int64)
 
     @property
+    def of_flight(self) -> tuple[Array, ...]:
+        """All that decides the flight of machines with one rigid contact, apart from the forcing frequency.
+
+        These are mass, damping and stiffness (N, n, n), gap row (N, n), sines and cosines of the force (N, H, n), and
+        load (N, n).
+        """
+        of_phases = self.damping, self.stiffness, self.row, self.force_sin, self.force_cos, self.load
+        return self.mass, *(np.ascontiguousarray(field[:, 0]) for field in of_phases)
+
+    @property
     def drifting(self) -> int:
         """The coordinate that may drift, -1 if there is none."""
         return int(self.drift[0]) if len(self.drift) else -1
 
 
-def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array) -> HybridMachines:
-    """Return machines with one rigid contact as hybrid machines, with this load (N, n) and these stops (N, 2)."""
-    (N, n), nothing, none = machines.gap_row.shape, np.zeros((len(load), 0)), np.zeros((len(load), 1))
-    return HybridMachines(
-        machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
-        machines.force_sin[:, None], machines.force_cos[:, None], machines.omega, machines.tau,
-        starts=np.tile([0.0, 1.0], (N, 1)), row=machines.gap_row[:, None], stops=stops[:, None], R=machines.R[:, None],
-        soft=none, by_force=none, contact_constants=np.zeros((N, 1, 1, 3)), friction_rows=np.zeros((N, 0, n)),
-        belt=nothing,
-        friction_constants=np.zeros((N, 1, 0, 2, 3)), contact_laws=np.zeros((N, 1, 2, 1, 3)),
-        friction_laws=np.zeros((N, 0, 2, 1, 3)), counted=none + 1.0,
-        drift=np.full(N, -1.0),
-    )  # fmt: skip
-
-
 @np.errstate(all="ignore")
-def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
+def faults(machines: Machines) -> NDArray[np.int8]:
     """Return the code (N,) of why a machine is invalid, as far as its numbers alone show; NO_REASON if it is valid.
 
     Lower stops must be below upper ones, and 0 <= R <= GREATEST_R. Stiffness and preload of a contact, its damping if
@@ -170,7 +164,7 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     return reasons
 
 
-def is_mirror_symmetric(machines: HybridMachines) -> Mask:
+def is_mirror_symmetric(machines: Machines) -> Mask:
     """Return the mask (N,) of machines in which z(t) -> -z(t + T/2) takes motions to motions.
 
     Stops lie at equal distances from 0, and belts rest. Half a period later the law is the same, with the load and the
@@ -194,7 +188,7 @@ def is_mirror_symmetric(machines: HybridMachines) -> Mask:
     return ~np.any(uneven, axis=0)
 
 
-def loses_nothing(machines: HybridMachines) -> Mask:
+def loses_nothing(machines: Machines) -> Mask:
     """Return the mask (N,) of machines without any loss: no damping, R = 1, no friction, M and K symmetric."""
     lossy = [
         _any(machines.damping != -machines.damping.swapaxes(-1, -2)),
@@ -204,7 +198,7 @@ def loses_nothing(machines: HybridMachines) -> Mask:
     return np.asarray(~np.any(lossy, axis=0) & (machines.sizes[2] == 0) & _has_energy(machines))
 
 
-def is_undriven(machines: HybridMachines) -> Mask:
+def is_undriven(machines: Machines) -> Mask:
     """Return the mask (N,) of machines whose energy never rises.
 
     They have no force, phases or moving belts, and neither damping nor stiffness nor contacts feed in energy.
@@ -222,18 +216,18 @@ def is_undriven(machines: HybridMachines) -> Mask:
     return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(machines) & ~feeds(machines))
 
 
-def feeds(machines: HybridMachines) -> Mask:
+def feeds(machines: Machines) -> Mask:
     """Return the mask (N,) of machines with a contact that feeds in energy: R above 1, or negative damping."""
     return np.asarray(_any(machines.R > 1.0) | _any(machines.contact_constants[..., 1] < 0.0))
 
 
-def _has_energy(machines: HybridMachines) -> Mask:
+def _has_energy(machines: Machines) -> Mask:
     """Return the mask (N,) of machines with an energy: M symmetric and positive definite, K symmetric in all phases."""
     return definite(machines.mass) & np.all(machines.stiffness == machines.stiffness.swapaxes(-1, -2), axis=(1, 2, 3))
 
 
 @np.errstate(all="ignore")
-def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
+def about_centre(machines: Machines) -> tuple[Machines, Array]:
     """Return machines counted from the centre of their mirror symmetry, and the centres (N, n).
 
     The centre lies midway between all stops and balances the mean load, see ``is_mirror_symmetric``. Machines without
@@ -265,7 +259,7 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
     return machines._replace(load=load, stops=stops), np.where(off_centre[:, None], centre, 0.0)
 
 
-def held_rows(machines: HybridMachines) -> Array:
+def held_rows(machines: Machines) -> Array:
     """Return the rows (N, C + F, n) along which rigid contacts and friction can stick, zeros for other elements.
 
     A row has the weights of the coordinates. Friction on the row of a rigid contact, or on a multiple of this row, is
@@ -276,7 +270,7 @@ def held_rows(machines: HybridMachines) -> Array:
     return np.concatenate([rigid, np.where(same[..., None], 0.0, machines.friction_rows)], axis=1)
 
 
-def along_contacts(machines: HybridMachines) -> Array:
+def along_contacts(machines: Machines) -> Array:
     """Return (N, F, C): the factor a if a friction's row is a times a contact's row to rounding, else 0.
 
     A row has the weights of the coordinates in the displacement at a contact, or of the velocities in a sliding
@@ -295,7 +289,7 @@ def _scaled(rows: Array) -> tuple[Array, Array]:
     return rows / size[..., None], size
 
 
-def yields(machines: HybridMachines) -> Mask:
+def yields(machines: Machines) -> Mask:
     """Return the mask (N,) of machines in which a force along any row moves the row that way, g.M^-1 g > 0.
 
     A row g has the weights of the coordinates at a contact or friction. The condition must also hold while other rows
@@ -315,7 +309,7 @@ def definite(mass: Array) -> Mask:
     return symmetric(mass) & (np.min(apply_stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1) > 0.0)
 
 
-def _yield_along(machines: HybridMachines) -> Mask:
+def _yield_along(machines: Machines) -> Mask:
     """Return the mask (N,) of machines in which a force along any row moves the row that way, see ``yields``.
 
     It is computed by the principal minors of G M^-1 G', with G the rows of contacts and friction.
