@@ -5,10 +5,11 @@ from typing import Any
 
 from mpmath import mp
 
+from tests.oscillators import RIGID, rigid_numbers
 from tests.support.oracle.free_mass import bouncing_ball_orbits
 from tests.support.oracle.model import OracleMachine, pieces_of
 from tests.support.oracle.piecewise import measures
-from tests.workers.model.test_systems import machine_of
+from tests.workers.model.test_systems import values_of
 from workers import Settings, solve_tile
 from workers.model.system import find_system
 
@@ -38,6 +39,7 @@ def measured(name: str, params: dict[str, float], periods: int) -> dict[str, Any
     """What the oracle measures of the motion of a packaged machine from its initial state, see ``measures``."""
     system = find_system(name)
     start = [params.get(state, system.parameter(state).default) for state in system.states]
+    numbers = rigid_numbers(system.definition.machines(values_of(system, **params)))
     with mp.workdps(30):
-        machine = pieces_of(OracleMachine(*machine_of(name, **params), start))
+        machine = pieces_of(OracleMachine(*(numbers[key][0] for key in RIGID), start))
     return measures(machine, start, periods, digits=30)
