@@ -110,7 +110,7 @@ def lay_over(ax: Axes, plane: Plane, overlay: Overlay, page: FigureLayout) -> li
     size = page.scale * float(np.clip(np.sqrt(_FEW / max(len(visible), 1)), _SMALLEST, 1.0))
     for kind, usual in overlay.marks.items():
         mark, spots = usual._replace(size=usual.size * size), [spot for spot in visible if spot[0] == kind]
-        entries += _draw_marks(ax, spots, page.map_size, "corner", 4.2, mark)
+        entries += _draw_marks(ax, spots, page.map_size, kind, 4.2, mark)
     end = _END._replace(size=_END.size * page.scale)
     entries += _draw_marks(ax, overlay.ends, page.map_size, "end", 4.1, end)
     return entries or [overlay.none]

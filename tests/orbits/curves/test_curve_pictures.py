@@ -39,7 +39,7 @@ def lines(ax: Axes, kind: str) -> list[np.ndarray]:
 
 def corners(ax: Axes) -> list[Line2D]:
     """The marks of points of codimension two."""
-    return [line for line in ax.lines if line.get_gid() == "corner"]
+    return [line for line in ax.lines if line.get_gid() not in (None, "end")]
 
 
 def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
