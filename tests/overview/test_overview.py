@@ -416,6 +416,7 @@ def made_of_level_1(handle: store.AtlasStore) -> set[tuple[int, ...]]:
     return Pyramid(handle).stored(1, REGIME)
 
 
+@pytest.mark.slow
 def test_of_a_tile_larger_than_a_chunk_the_chunk_of_level_1_is_made_of_its_arrays_to_the_bit(tmp_path: Path) -> None:
     handle, other = large(tmp_path / "a.zarr"), large(tmp_path / "b.zarr")
     assert Pyramid(handle).levels.chunk == (8, 8)

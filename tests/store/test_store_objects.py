@@ -208,6 +208,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]
         }
 
 
+@pytest.mark.slow
 def test_an_atlas_is_computed_and_extended_by_storage_options_and_read_as_an_object(
     server: dict[str, str], client: Client, solved_plane: Path, tmp_path: Path
 ) -> None:

@@ -29,6 +29,7 @@ def test_a_plane_of_belts_is_parted_by_the_curve_at_which_the_cycle_ends(tmp_pat
     assert counts["curve"] + counts["basins"] == counts["all"] > 0
 
 
+@pytest.mark.slow
 def test_a_plane_is_parted_by_a_hopf_curve_where_sliding_loses_stability(tmp_path: Path, client: Client) -> None:
     """At the vertex at 1 for dampings between the slopes beside it, .0855 and .2325."""
     system = machine(damping=[["c"]], friction=[chords_of(0.5)], parameters={"u": 1.3, "c": 0.1, "x": 0.55})

@@ -145,6 +145,7 @@ def test_the_budget_is_never_the_reason_where_nothing_is_lost(system: Any, value
     assert budget == 2000 or (found["regime"] != UNDETERMINED).all()
 
 
+@pytest.mark.slow
 def test_energy_has_no_error_to_tell_where_it_is_lost() -> None:
     system = machine(BALL, ELASTIC, lower=0.0, damping=[["c"]], parameters={"c": 0.0})
     found = solve_tile(system, {"c": [0.0, 0.1], "x": 1.0}, Settings(max_periods=2000))
