@@ -34,7 +34,7 @@ def test_every_module_parses_and_imports_what_is_exported(browser: Any) -> None:
     assert [error for error in failed.values() if not error.startswith("TypeError: Cannot")] == []
     pages = ["/live/live.mjs", "/static/atlas.mjs", "/static/cell.mjs", "/static/page.mjs"]
     assert sorted(failed) == pages  # they begin with elements that are not here
-    assert "Failed to fetch" in run(browser, script, ["/front/none.mjs"])["/front/none.mjs"]
+    assert "Failed to fetch" in run(browser, script, ["/front/none.css"])["/front/none.css"]
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
