@@ -24,7 +24,7 @@ from atlas.explore.details_panel import DetailsPanel
 from atlas.explore.explorer import Explorer
 from atlas.explore.live.page import CELLS, page_of
 from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
-from atlas.explore.text import progress
+from atlas.explore.text import plain, progress
 from atlas.explore.threads import why
 from atlas.explore.view_state import (
     ViewState,
@@ -109,8 +109,8 @@ class PageConnection:
         self._background.wait()
 
     def tell(self, what: str, **fields: Any) -> None:
-        """Send what the page did not ask for, such as the progress; NaN and infinities are sent as null."""
-        self._send(json.dumps({"tell": what, **_plain(fields)}, allow_nan=False, ensure_ascii=False))
+        """Send what the page did not ask for, such as the progress, see ``text.plain``."""
+        self._send(json.dumps({"tell": what, **plain(fields)}, allow_nan=False, ensure_ascii=False))
 
     def hear(self, text: str | bytes) -> None:
         """Take a request of the page, which is JSON, and answer it: {ask, id, query, ...}.
@@ -247,18 +247,3 @@ class PageConnection:
             notes.append("not the plane of the atlas")
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == view.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
-
-
-def _plain(value: Any) -> Any:
-    """Return a value for JSON: arrays as lists of numbers of six digits, and null for NaN and infinities."""
-    if isinstance(value, np.ndarray):
-        return (
-            [float(f"{number:.6g}") if np.isfinite(number) else None for number in value.tolist()]
-            if value.ndim == 1
-            else [_plain(row) for row in value]
-        )
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {name: _plain(part) for name, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value

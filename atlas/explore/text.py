@@ -65,7 +65,7 @@ def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
 
 
 def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
-    """Return the numbers of a cell with their meanings, as plain JSON for the browser.
+    """Return the numbers of a cell with their meanings, see ``plain``.
 
     The browser leaves out numbers that cells of the regime do not have.
     """
@@ -88,19 +88,32 @@ def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
             }
             for name, variable in meant.items()
         },
-        "values": _plain(values),
+        "values": values,
     }
 
 
 def cell_text(cell: CellResult) -> str:
     """Return all numbers of a cell as JSON, in full precision; NaN is null."""
     values = cell.parameters | cell.results
-    return json.dumps(_plain(values), indent=1)
+    return json.dumps({name: None if value != value else value for name, value in values.items()}, indent=1)
 
 
-def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values for JSON, in which NaN is replaced by None."""
-    return {name: None if value != value else value for name, value in values.items()}
+def plain(value: Any) -> Any:
+    """Return a value as plain JSON for the browser: arrays as lists of numbers of six digits, null for NaN.
+
+    An infinite number is text that JavaScript turns into the number; infinite entries of arrays are null.
+    """
+    if isinstance(value, np.ndarray):
+        return (
+            [float(f"{entry:.6g}") if np.isfinite(entry) else None for entry in value.tolist()]
+            if value.ndim == 1
+            else [plain(row) for row in value]
+        )
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
+    if isinstance(value, Mapping):
+        return {name: plain(part) for name, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def first_compile_notice(system: System, *more: str) -> str:

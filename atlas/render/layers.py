@@ -16,7 +16,7 @@ from atlas.query.resample import read_view
 from atlas.render.kinds import PictureKind
 from atlas.render.looks import HATCH, HATCH_INK, LegendEntry, LineLook, MarkLook, ink_on, rgb
 from atlas.render.request import PictureRequest
-from atlas.render.scales import Scale
+from atlas.render.scales import ColorMapping
 from atlas.store.schema import REGIME_COLORS
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIMES, UNDETERMINED
 
@@ -106,7 +106,7 @@ class ScalarLayer:
     bar     True if the layer has a colorbar
     """
 
-    scale: Scale
+    scale: ColorMapping
     values: Array
     label: str
     bar: bool = True
@@ -143,7 +143,7 @@ class PointLayer(NamedTuple):
     look: MarkLook
 
 
-class Line(NamedTuple):
+class OverlayLine(NamedTuple):
     """A line of an overlay: its kind, and its points (N, 2)."""
 
     kind: str
@@ -168,7 +168,7 @@ class Overlay:
     """
 
     looks: Mapping[str, LineLook] = field(default_factory=dict)
-    lines: Sequence[Line] = ()
+    lines: Sequence[OverlayLine] = ()
     marks: Mapping[str, MarkLook] = field(default_factory=dict)
     corners: Sequence[Spot] = ()
     ends: Sequence[Spot] = ()

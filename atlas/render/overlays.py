@@ -18,7 +18,7 @@ from atlas.query.open import handle_of
 from atlas.query.window import axis_names
 from atlas.render.grazing import grazing_lines
 from atlas.render.kinds import OverlayError
-from atlas.render.layers import Line, MapView, Overlay
+from atlas.render.layers import MapView, Overlay, OverlayLine
 from atlas.render.looks import CORNERS, EVENT_STYLES, LineLook, MarkLook, corner_look
 from atlas.render.outlines import simplify_regimes
 from atlas.robustness.saddles import saddles_in
@@ -45,7 +45,7 @@ def _grazing(view: MapView, size: Size) -> Overlay:
     label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"
     none = f"{label}: not in this window"
     look = LineLook(label if lines else none, "#000000", (5, 2), 1.3, "#ffffff", joins=True)
-    return Overlay({"grazing": look}, [Line("grazing", line) for line in lines], none=none)
+    return Overlay({"grazing": look}, [OverlayLine("grazing", line) for line in lines], none=none)
 
 
 def _boundaries(view: MapView, size: Size) -> Overlay:
@@ -67,7 +67,7 @@ def _curves(view: MapView, size: Size) -> Overlay:
     corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
     if requested is not None and "codimension_two" not in requested:
         corners = []
-    lines = [Line(curve.kind, points) for curve in curves for points in curve.stable_lines]
+    lines = [OverlayLine(curve.kind, points) for curve in curves for points in curve.stable_lines]
     drawn, marked = {line.kind for line in lines}, {kind for kind, *_ in corners}
     looks = {
         kind: LineLook(look.label, look.color, look.dashes, edge="#ffffff")

@@ -15,7 +15,7 @@ from atlas.query.extremes import variable_of
 from atlas.render import class_maps, kinds, looks, scales, text
 from atlas.render.layers import Class, HatchLayer, MapLayers, MapView, ScalarLayer, build_layers
 from atlas.render.outlines import without_dust
-from atlas.render.scales import Scale
+from atlas.render.scales import ColorMapping
 from workers.results import CHAOTIC, LARGEST, NO_IMPACT, UNDETERMINED
 
 if TYPE_CHECKING:
@@ -43,18 +43,18 @@ def exponent(view: MapView, ends: tuple[float, float] | None = None) -> MapLayer
     return replace(layers, textures=[texture, *layers.textures])
 
 
-def exponent_scale(low: float, high: float) -> Scale:
+def exponent_scale(low: float, high: float) -> ColorMapping:
     """Return the colour scale of exponents. Raise InputError unless zero lies between the limits."""
     if not low < 0.0 < high:
         raise InputError(f"colour limits of exponents: found {low:g} to {high:g}, must have zero between them")
-    return Scale(scales.TWO_SIDED, (low, high), scales.EXPONENT)
+    return ColorMapping(scales.TWO_SIDED, (low, high), scales.EXPONENT)
 
 
 def combined(view: MapView) -> MapLayers:
     """Return the layers of a map of the period of periodic motion and the largest exponent of chaotic motion."""
     regime = view.plane.regime
     largest = np.where(regime == CHAOTIC, view.plane[LARGEST.name], np.nan)
-    scale = Scale(scales.LINEAR, view.page.ends(0.0, scales.scale_ends(largest)[1]), scales.CHAOS)
+    scale = ColorMapping(scales.LINEAR, view.page.ends(0.0, scales.scale_ends(largest)[1]), scales.CHAOS)
     # The colorbar names the chaotic cells; a chaotic cell without an exponent looks like its regime.
     field = ScalarLayer(scale, largest, text.in_its_unit(view.ds, view.kind.scale.label))
     return build_layers(regime, class_maps.by_period(view.plane), field)
@@ -100,7 +100,7 @@ def _scaled(view: MapView, field: ScalarLayer, others: Sequence[Class] = ()) -> 
 
 def number_scale(
     values: Array, log: bool, layout: "FigureLayout", colors: tuple[str, ...] = kinds.NUMBERS.colors
-) -> Scale:
+) -> ColorMapping:
     """Return the colour scale of the finite values of an array, between the limits of the layout or of ``number_ends``.
 
     On a linear scale zero is pale if it lies inside the limits. ``colors`` are those of positive numbers.
@@ -109,4 +109,4 @@ def number_scale(
     if log and low <= 0.0:
         raise InputError(f"vmin: found {low:g}, must be positive with a logarithmic norm")
     both = None if log else scales.both_signs(colors)
-    return Scale(scales.LOG if log else scales.LINEAR, (low, high), scales.color_table(colors), both)
+    return ColorMapping(scales.LOG if log else scales.LINEAR, (low, high), scales.color_table(colors), both)

@@ -56,7 +56,7 @@ def both_signs(above: tuple[str, ...]) -> Colors:
 
 
 @dataclass(frozen=True, eq=False)
-class Scale:
+class ColorMapping:
     """How numbers become colours.
 
     form    LINEAR, LOG or TWO_SIDED

@@ -23,7 +23,7 @@ from atlas.render.layout import STANDARD, FigureLayout
 from atlas.render.looks import Entry, LegendEntry, label_of
 from atlas.render.painters import layers_of, with_legend_notes
 from atlas.render.request import PictureRequest
-from atlas.render.scales import TWO_SIDED, Scale, color_table, scale_ends
+from atlas.render.scales import TWO_SIDED, ColorMapping, color_table, scale_ends
 from atlas.render.text_wrap import OWN_TITLE
 from workers.results import LARGEST, PENDING, PER_PERIOD
 
@@ -208,7 +208,7 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
     # The limits are symmetric: one given limit decides the other.
     limits = [end for end in (layout.vmax, layout.vmin) if end is not None]
     end = abs(limits[0]) if limits else most or 1.0
-    scale = Scale(TWO_SIDED, scalar_maps.exponent_scale(*layout.ends(-end, end)).ends, DIFFERENCE)
+    scale = ColorMapping(TWO_SIDED, scalar_maps.exponent_scale(*layout.ends(-end, end)).ends, DIFFERENCE)
     change = np.where(pending, np.nan, change)
     unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
     layers = build_layers(

@@ -16,7 +16,7 @@ from atlas.explore.cell_lookup import CellResult
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.static.about import meanings
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.text import cell_given, cell_text, number, where
+from atlas.explore.text import cell_given, cell_text, number, plain, where
 from tests.explore.modules import run
 from workers.results import REASONS
 
@@ -38,11 +38,11 @@ def results_shown(browser: Any, given: dict[str, Any]) -> dict[str, str]:
     """The results of a cell on the page: label and words."""
     script = """
         const { resultsOf } = await import("/front/words.mjs"), { told, variables, values } = given
-        const arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value ?? NaN]]))
+        const arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [Number(value ?? NaN)]]))
         return resultsOf({ ...told, variables, arrays: {} }, Object.keys(variables), 0, arrays)
     """
     told = json.loads(json.dumps(meanings()))  # with codes as texts, as the page has them
-    return {label: text for label, text, _ in run(browser, script, {"told": told, **given})}
+    return {label: text for label, text, _ in run(browser, script, {"told": told, **plain(given)})}
 
 
 @pytest.mark.parametrize(
@@ -99,6 +99,12 @@ def test_the_page_shows_of_a_cell_the_results_of_its_regime_alone(browser: Any, 
         browser, cell_given(CellResult({}, resting | {"regime": "periodic"}, of_atlas=False), subject)
     )
     assert shown["impacts above"] == "without end: at rest on a stop" and "largest exponent" not in shown
+
+
+def test_the_page_shows_an_exponent_that_is_infinite(browser: Any, subject: Subject) -> None:
+    resting = {"omega": 2.0, "b": 0.1, "regime": "periodic", "largest": -math.inf, "error": 0.0}
+    shown = results_shown(browser, cell_given(CellResult({}, resting, of_atlas=False), subject))
+    assert shown["largest exponent"] == "−∞"
 
 
 def test_the_page_says_of_a_contact_of_the_machine_itself_that_it_has_no_end(browser: Any, tmp_path: Path) -> None:

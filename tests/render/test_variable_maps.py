@@ -18,7 +18,7 @@ from atlas.overview.coarsen import coarsen, from_cells
 from atlas.query.extremes import extremes
 from atlas.render import scalar_maps
 from atlas.render.kinds import KIND_TABLE
-from atlas.render.scales import LINEAR, Scale, both_signs, color_table
+from atlas.render.scales import LINEAR, ColorMapping, both_signs, color_table
 from atlas.store.create import create_store
 from atlas.store.tiles import write_tile
 from tests.pictures import colour, labels, line, pixel, plane
@@ -162,7 +162,7 @@ def test_the_command_draws_a_variable_of_a_store_or_says_why_not_and_writes_noth
 
 def test_a_scale_of_both_signs_is_pale_at_zero_and_as_dark_on_either_side_of_it() -> None:
     above = KIND_TABLE["scalar"].scale.colors
-    scale = Scale(LINEAR, (-1.0, 2.0), color_table(above), both_signs(above))
+    scale = ColorMapping(LINEAR, (-1.0, 2.0), color_table(above), both_signs(above))
     colors = scale.colors(np.array([-0.5, 0.0, 0.5])) / 255
     lightness = colors @ [0.2126, 0.7152, 0.0722]
     assert lightness[1] > 0.9

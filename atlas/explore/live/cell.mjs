@@ -75,7 +75,7 @@ export function cellPanel({ subject }) {
       const equations = places.flatMap(([symbol, value]) => [make("span", { className: "number" }, make("i", { textContent: symbol }), ` = ${value}`), ", "]);
       const line = make("code", { tabIndex: 0, textContent: command });
       head.replaceChildren(make("h2", { textContent: "cell clicked" }), make("p", {}, ...equations, regime), make("div", { className: "line" }, line, copying("copy", () => command)));
-      const { caption, variables, values } = given, arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value ?? NaN]]));
+      const { caption, variables, values } = given, arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [Number(value ?? NaN)]]));
       const rows = given.places.map(([symbol, value]) => rowOf(symbol, number(value), value));
       rows.push(...resultsOf({ ...subject, variables, arrays: {} }, Object.keys(variables), 0, arrays).map(([label, words, name]) => rowOf(label, words, values[name])));
       numbers.replaceChildren(make("table", {}, make("caption", { textContent: caption }), ...rows), copying("copy all numbers, in full", () => text));
